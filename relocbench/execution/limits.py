@@ -54,6 +54,11 @@ class Loss:
     workers: int = 1
     """number of workers that ended on the unit, one after the other"""
 
+    @property
+    def how(self) -> str:
+        """That the worker died and how, or which limit was exceeded."""
+        return f"the worker process died ({self.words})" if self.kind == "death" else self.words
+
 
 @contextmanager
 def step(name: str, keys: tuple[Any, ...] = (), times: float = 1.0) -> Iterator[None]:

@@ -12,7 +12,7 @@ from small_dataset import ACROSS, make_small_dataset
 from small_views import make_small_views
 
 from relocbench.errors import MethodError
-from relocbench.evaluation.retrieval.answers import read_answers
+from relocbench.evaluation.retrieval.answers import ANSWERS
 from relocbench.methods import RETRIEVERS, TRACKERS, kind_of, parameters_of, parse_method, parse_methods
 
 HERE = "retrievers_for_tests"
@@ -74,10 +74,10 @@ def test_lists_made_elsewhere_are_scored(street: Path, tmp_path: Path) -> None:
     theirs = tmp_path / "netvlad.txt"
     theirs.write_text("# made elsewhere\n" + "".join(f"{line}\n" for line in lines if not line.startswith(queries[2])))
     assert relocbench(*RETRIEVAL, *options, "--predictions", theirs).status == 0
-    answers = read_answers(mine.parent / "netvlad" / f"{ACROSS}.csv")
+    answers = ANSWERS.read(mine.parent / "netvlad" / f"{ACROSS}.csv")
     assert [a.status for a in answers] == ["ok", "ok", "failed", "ok"]
     assert answers[2].message == "not in the list"
-    assert [a.ranks for a in answers][:2] == [a.ranks for a in read_answers(mine / f"{ACROSS}.csv")][:2]
+    assert [a.ranks for a in answers][:2] == [a.ranks for a in ANSWERS.read(mine / f"{ACROSS}.csv")][:2]
     assert "target: predictions:netvlad.txt" in (mine.parent / "netvlad" / "run.yaml").read_text()
     copy = tmp_path / "copy"
     copy.mkdir()

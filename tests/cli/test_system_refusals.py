@@ -29,7 +29,7 @@ from relocbench.datasets.pairs.correspondence_file import read_correspondences, 
 from relocbench.datasets.synthetic.jobs.estimates import Spent
 from relocbench.datasets.synthetic.jobs.rendering import estimate
 from relocbench.errors import DatasetError
-from relocbench.evaluation.isolation.worker import journal_entries, open_journal
+from relocbench.evaluation.isolation.journal import journal_entries, open_journal
 from relocbench.files import plain_file, read_text, sha256_file, write_text
 
 _HANG_S = 600

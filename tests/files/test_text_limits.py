@@ -27,9 +27,9 @@ from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.importers.robotcar import files as robotcar_files
 from relocbench.datasets.sensors.pose_tables import read_trajectory
 from relocbench.errors import DatasetError, RelocbenchError, quoted
-from relocbench.evaluation.relocalization.answers import read_pipeline
+from relocbench.evaluation.relocalization.answers import PIPELINE
 from relocbench.evaluation.relocalization.basin import read_basins
-from relocbench.evaluation.retrieval.answers import read_answers
+from relocbench.evaluation.retrieval.answers import ANSWERS as RETRIEVED
 from relocbench.evaluation.tables.answers import ANSWERS
 from relocbench.evaluation.tables.answers import read_answers as read_pair_answers
 from relocbench.evaluation.tables.errors import read_errors
@@ -55,8 +55,8 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "answers of a tracker": read_pair_answers,
     "errors": read_errors,
     "matching": read_matching,
-    "a chain": read_pipeline,
-    "answers of a retriever": read_answers,
+    "a chain": PIPELINE,
+    "answers of a retriever": RETRIEVED.read,
     "radii": read_basins,
     "poses": read_poses,
     "registrations": read_registrations,

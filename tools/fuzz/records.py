@@ -64,11 +64,11 @@ def _reads(name: str) -> Read:
             "set": lambda: SetResults(folder).record,
             "run": lambda: RetrieverResults(folder).run_record(),
             "scores": lambda: RetrieverResults(folder).retrieval_scores(),
-            "answers": lambda: retrieval_answers.read_answers(place.target),
+            "answers": lambda: retrieval_answers.ANSWERS.read(place.target),
             "chain-set": lambda: PipelineSetResults(folder).record,
             "chain-run": lambda: PipelineResults(folder).run_record(),
             "chain-scores": lambda: PipelineResults(folder).scores(),
-            "chain": lambda: pipeline_answers.errors_of(pipeline_answers.read_pipeline(place.target)),
+            "chain": lambda: pipeline_answers.errors_of(pipeline_answers.PIPELINE.read(place.target)),
             "basins": lambda: read_basins(place.target),
             "tables": lambda: _tables(page),
         }

@@ -102,7 +102,7 @@ def _predictions(place: Place) -> None:
 
 
 def _journal(place: Place) -> None:
-    from relocbench.evaluation.isolation.worker import journal_entries
+    from relocbench.evaluation.isolation.journal import journal_entries
 
     list(journal_entries(place.target.parent))
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
@@ -33,6 +33,7 @@ from relocbench.files import (
     write_text,
 )
 from relocbench.methods.specs import MOST_ASSUMED
+from relocbench.retrieval import RetrievalSet
 
 PREDICTIONS = "predictions:"
 """prefix of the target of predictions that were made elsewhere"""
@@ -138,6 +139,12 @@ class RunRecord(Strict):
     """of submitted predictions: what is odd about them, for a reader to judge"""
     start: str = ""
     end: str = ""
+
+    @classmethod
+    def on(cls, asked: Dataset | RetrievalSet, **fields: Any) -> Self:
+        """The record of a run on a dataset or a retrieval set, with the other fields as given."""
+        question = getattr(asked, "content_id", "")
+        return cls(dataset=asked.name, fingerprint=asked.fingerprint, question=question, **fields)
 
 
 class ScoreRecord(Strict):

@@ -8,15 +8,30 @@ import os
 import platform
 import shutil
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 from relocbench.datasets.core.writer import versions
 from relocbench.errors import MethodError, PredictionError
+from relocbench.evaluation.common.options import Overwrite
 from relocbench.evaluation.common.results import MethodResults, RunRecord
-from relocbench.execution import default_workers
+from relocbench.execution import Run, default_workers
 from relocbench.files import json_text, remove_parts
 from relocbench.methods import MethodSpec, distribution_version
+from relocbench.progress import Reporter
+
+
+@dataclass(frozen=True)
+class Asking:
+    """How methods are asked, whichever they are."""
+
+    run: Run
+    """where they run, and their limits"""
+    reporter: Reporter
+    overwrite: Overwrite = "never"
+    """``never`` keeps all answers, ``failed`` asks again where a method failed or broke, ``always`` starts over"""
+    seed: int = 0
 
 
 def made_by(spec: MethodSpec, workers: int, seed: int) -> dict[str, Any]:

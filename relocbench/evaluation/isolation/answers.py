@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -143,6 +143,17 @@ def checked_pixels(ends: object, crash: str | None, count: int) -> tuple[Array |
     if fault is not None:
         return None, f"the pixels cannot be read: {fault}"
     return (None, pixels) if isinstance(pixels, str) else (pixels, None)
+
+
+def checked_levels(levels: Iterable[object], crash: str | None, count: int) -> tuple[list[Array], str | None]:
+    """What ``match_levels`` returned, as :func:`checked_pixels` for each level; none if one of them is not valid."""
+    checked: list[Array] = []
+    for ends in levels:
+        pixels, crash = checked_pixels(ends, crash, count)
+        if pixels is None:
+            return [], crash
+        checked.append(pixels)
+    return checked, crash
 
 
 def _pixels(ends: object, count: int) -> Array | str:

@@ -58,5 +58,4 @@ def _make(made: tuple[MethodSpec, bool, Sandbox]) -> Capabilities:
 
 
 def _lost(made: tuple[MethodSpec, bool, Sandbox], loss: Loss) -> Capabilities:
-    died = "the worker process died " if loss.kind == "death" else ""
-    return Capabilities(fault=f"{CONSTRUCTOR}: {died}{f'({loss.words})' if died else loss.words}")
+    return Capabilities(fault=f"{CONSTRUCTOR}: {loss.how}")

@@ -96,27 +96,24 @@ def capabilities(method: Any) -> tuple[bool, bool]:
 
 def neighbours_of(tracker: Any) -> tuple[int, str | None]:
     """The number of frames on each side of a keyframe that a tracker requests; and what is wrong with its request."""
-    value, crash = guarded(lambda: getattr(tracker, "neighbours", 0))
-    if crash is not None:
-        return 0, f"its attribute 'neighbours' cannot be read: {crash}"
-    count, crash = guarded(lambda: operator.index(value))
-    if crash is not None or not 0 <= count <= MOST_NEIGHBOURS:
-        shown = guarded(lambda: one_line(value, 100))[0]
-        return 0, f"its attribute 'neighbours' is {shown}, expected a whole number from 0 to {MOST_NEIGHBOURS}"
-    return int(count), None
+    return _count(tracker, "neighbours", 0, least=0, most=MOST_NEIGHBOURS)
 
 
 def batch_of(tracker: Any) -> tuple[int, str | None]:
     """The number of queries that a tracker answers in one call; and what is wrong with its ``batch_size``."""
     if not implements(tracker, SupportsBatch):
         return 1, None
-    value, crash = guarded(lambda: getattr(tracker, "batch_size", MOST_QUERIES))
+    count, fault = _count(tracker, "batch_size", MOST_QUERIES, least=1)
+    return min(count, MOST_QUERIES), fault
+
+
+def _count(tracker: Any, name: str, usual: int, *, least: int, most: int | None = None) -> tuple[int, str | None]:
+    """An attribute that is a whole number, or the least that is allowed and what is wrong with it."""
+    value, crash = guarded(lambda: getattr(tracker, name, usual))
     if crash is not None:
-        return 1, f"its attribute 'batch_size' cannot be read: {crash}"
-    count, crash = guarded(lambda: operator.index(value))
-    if crash is not None or count < 1:
-        return (
-            1,
-            f"its attribute 'batch_size' is {guarded(lambda: one_line(value, 100))[0]}, expected a whole number from 1",
-        )
-    return min(int(count), MOST_QUERIES), None
+        return least, f"its attribute '{name}' cannot be read: {crash}"
+    count, crash = guarded(lambda: int(operator.index(value)))
+    if crash is not None or count < least or (most is not None and count > most):
+        shown, to = guarded(lambda: one_line(value, 100))[0], "" if most is None else f" to {most}"
+        return least, f"its attribute '{name}' is {shown}, expected a whole number from {least}{to}"
+    return count, None

@@ -12,7 +12,7 @@ from itertools import islice
 from typing import Any, Protocol
 
 from relocbench.arrays import Array
-from relocbench.evaluation.isolation.answers import CheckedAnswer, ask, checked_pixels
+from relocbench.evaluation.isolation.answers import CheckedAnswer, ask, checked_levels, checked_pixels
 from relocbench.evaluation.isolation.guard import batch_of, capabilities, guarded, implements, neighbours_of
 from relocbench.evaluation.isolation.views import read_only
 from relocbench.tracking import Query, Reference, SupportsLevelMatching, SupportsPrepare
@@ -113,10 +113,4 @@ class LocalTracker:
         )
         if crash is None and len(levels) > _MOST_LEVELS:
             crash = f"match_levels returned more than {_MOST_LEVELS} levels"
-        checked: list[Array] = []
-        for ends in levels or ():
-            pixels, crash = checked_pixels(ends, crash, len(uv_ref))
-            if pixels is None:
-                return [], crash
-            checked.append(pixels)
-        return checked, crash
+        return checked_levels(levels or (), crash, len(uv_ref))

@@ -10,7 +10,13 @@ from typing import Any
 
 from relocbench.arrays import Array
 from relocbench.errors import MethodError, one_line
-from relocbench.evaluation.isolation.answers import CheckedAnswer, checked_answer, checked_pixels, error_answer
+from relocbench.evaluation.isolation.answers import (
+    CheckedAnswer,
+    checked_answer,
+    checked_levels,
+    checked_pixels,
+    error_answer,
+)
 from relocbench.evaluation.isolation.handles import Declared
 from relocbench.evaluation.isolation.method_process import FORGED, MethodProcess, crash_of
 from relocbench.execution import Sandbox
@@ -60,13 +66,7 @@ class IsolatedTracker:
 
     def match_levels(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[list[Array], str | None]:
         answer, levels = self._process.ask(("match_levels", (query, uv_ref, uv_start)))
-        checked = []
-        for ends in levels:
-            pixels, fault = checked_pixels(ends, None, len(uv_ref))
-            if pixels is None:
-                return [], fault
-            checked.append(pixels)
-        return checked, crash_of(answer)
+        return checked_levels(levels, crash_of(answer), len(uv_ref))
 
     def close(self) -> None:
         """End the process."""

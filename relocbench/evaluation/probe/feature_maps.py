@@ -163,8 +163,7 @@ def _tracker_of(spec: MethodSpec) -> Any:
 
 def lost_picture(picture: Picture, loss: Loss) -> tuple[Path | None, str]:
     """The result for a picture whose worker was lost."""
-    how = f"the worker process died ({loss.words})" if loss.kind == "death" else loss.words
-    return None, f"no picture of the features of {picture.spec.label} at {picture.place.name}: {how}"
+    return None, f"no picture of the features of {picture.spec.label} at {picture.place.name}: {loss.how}"
 
 
 def _levels(method: SupportsFeatures, label: str, image: Image, camera: Camera) -> list[Floats]:

@@ -18,21 +18,21 @@ from relocbench.datasets.core.writer import versions
 from relocbench.errors import PredictionError, one_line
 from relocbench.evaluation.isolation.capabilities import Capabilities
 from relocbench.evaluation.isolation.handles import TrackerHandle
-from relocbench.evaluation.isolation.worker import (
-    LossHandler,
-    Unit,
+from relocbench.evaluation.isolation.journal import (
     answered_keys,
     append_entry,
     journal_entries,
     open_journal,
+    write_entry,
+)
+from relocbench.evaluation.isolation.losses import LossHandler, run_until_answered
+from relocbench.evaluation.isolation.worker import (
+    Assignment,
+    Unit,
     query_of,
-    run_until_answered,
     show_keyframe,
     tracker_of,
     traversal_of,
-    units_of,
-    visibility_of,
-    write_entry,
 )
 from relocbench.evaluation.probe.pixels import probe_pixels, with_structure
 from relocbench.evaluation.probe.poses import OFFSETS, probe_poses
@@ -103,8 +103,7 @@ def ask_pairs(
         PredictionError: another process is writing to the folder.
         DatasetError: an image or a correspondence file is bad.
     """
-    run = run.hiding(dataset.root, folder)
-    visibility = visibility_of(spec, run)
+    assigned = Assignment.of(dataset, spec, run.hiding(dataset.root, folder))
     root = folder / f"{spec.label}-{_digest(dataset, spec, task)}"
     journals = {pair_set.name: root / pair_set.name for pair_set, _ in asked}
     for journal in journals.values():
@@ -114,16 +113,15 @@ def ask_pairs(
         return [
             ProbeUnit(**vars(unit), task=task)
             for pair_set, keys in asked
-            for unit in units_of(
-                dataset, pair_set, spec, journals[pair_set.name], _open(keys, journals[pair_set.name]), visibility
-            )
+            for journal in (journals[pair_set.name],)
+            for unit in assigned.units(pair_set, journal, _open(keys, journal))
         ]
 
     with (
         locked_folder(root, PredictionError),
         reporter.stage(f"{spec.label} on {dataset.name}", _left(asked, journals)) as advance,
     ):
-        run_until_answered(_probe_unit, open_units, LossHandler(_write_crash), run, advance)
+        run_until_answered(_probe_unit, open_units, LossHandler(_write_crash), assigned.run, advance)
     return {
         (pair_set.name, entry["key"]): PairResult(tuple(map(Tally.from_dict, entry["tallies"])), entry["message"])
         for pair_set, keys in asked

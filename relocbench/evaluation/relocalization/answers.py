@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 import numpy as np
@@ -82,17 +81,3 @@ def errors_of(answers: Sequence[PipelineAnswer]) -> PoseErrors:
         translation_error_m=np.array([a.translation_error_m for a in answers], dtype=np.float64),
         mlad_translation_error_m=np.array([a.mlad_translation_error_m for a in answers], dtype=np.float64),
     )
-
-
-def write_pipeline(path: Path, answers: Sequence[PipelineAnswer]) -> None:
-    """Write ``TASK.csv``, in the order given."""
-    PIPELINE.write(path, answers)
-
-
-def read_pipeline(path: Path) -> list[PipelineAnswer]:
-    """Read ``TASK.csv``.
-
-    Raises:
-        PredictionError: with file and line: wrong columns, an invalid status, outcome or number, or a query twice.
-    """
-    return PIPELINE.read(path)

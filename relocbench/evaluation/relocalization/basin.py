@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from relocbench.datasets.core.schema import Strict
 from relocbench.errors import PredictionError
 from relocbench.files import parse_floats, read_csv
 
@@ -18,9 +19,8 @@ SAID: dict[Source, str] = {
 }
 
 
-@dataclass(frozen=True)
-class Basin:
-    """Limits of a basin: the largest distance and angle between the cameras of the query and of a keyframe in it."""
+class Basin(Strict):
+    """The basin of a tracker on a task: the largest distance and angle between the cameras of query and keyframe."""
 
     metres: float
     degrees: float
@@ -29,6 +29,11 @@ class Basin:
     @property
     def limits(self) -> tuple[float, float]:
         return self.metres, self.degrees
+
+
+def basin(limits: tuple[float, float], source: Source) -> Basin:
+    """The basin of these metres and degrees."""
+    return Basin(metres=limits[0], degrees=limits[1], source=source)
 
 
 @dataclass(frozen=True)
@@ -43,9 +48,9 @@ class Basins:
     def of(self, tracker: str, condition_ref: str, condition_query: str, reach: tuple[float, float]) -> Basin:
         """The basin of a tracker on a task; the pairs' reach if it was not measured, such as one that uses no prior."""
         if self.given is not None:
-            return Basin(*self.given, "given")
+            return basin(self.given, "given")
         if self.measured is None:
-            return Basin(*reach, "pairs")
+            return basin(reach, "pairs")
         from relocbench.evaluation.probe.table import ACROSS, SAME  # imported late: it loads the plotting code
 
         whole = SAME if condition_ref == condition_query else ACROSS
@@ -53,8 +58,8 @@ class Basins:
             metres = self.measured.get((tracker, "translation", conditions))
             degrees = self.measured.get((tracker, "rotation", conditions))
             if metres is not None and degrees is not None:
-                return Basin(metres, degrees, "probe")
-        return Basin(*reach, "pairs")
+                return basin((metres, degrees), "probe")
+        return basin(reach, "pairs")
 
     def knows(self, tracker: str) -> bool:
         """Whether the tracker's basin was measured."""

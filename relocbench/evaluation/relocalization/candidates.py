@@ -9,16 +9,14 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair, PairKey
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.options import Overwrite
 from relocbench.evaluation.common.results import DatasetResults, MethodResults
-from relocbench.evaluation.isolation.worker import journal_entries
+from relocbench.evaluation.common.runs import Asking
+from relocbench.evaluation.isolation.journal import journal_entries
 from relocbench.evaluation.relocalization.pipeline import Tracked
 from relocbench.evaluation.tables.answers import read_answers
 from relocbench.evaluation.tracking.run import run_method
 from relocbench.evaluation.tracking.score import read_predictions
-from relocbench.execution import Run
 from relocbench.methods import MethodSpec
-from relocbench.progress import Reporter
 
 
 class Candidates(PairSet):
@@ -38,11 +36,7 @@ def track_candidates(
     wanted: Mapping[str, Iterable[PairKey]],
     spec: MethodSpec,
     results: DatasetResults,
-    *,
-    overwrite: Overwrite,
-    run: Run,
-    seed: int,
-    reporter: Reporter,
+    asking: Asking,
 ) -> MethodResults:
     """Ask a tracker about the candidate pairs that it has not answered yet; earlier answers are kept.
 
@@ -53,21 +47,12 @@ def track_candidates(
         PredictionError: the folder holds answers of this label that were made differently, or is in use.
         DatasetError: an image, depth or description of the dataset is bad.
     """
-    folder = results.method(spec.label)
+    folder, keeps = results.method(spec.label), asking.overwrite != "always"
     pools: Sequence[PairSet] = [
-        Candidates(dataset.pair_set(name), [*keys, *(() if overwrite == "always" else _answered_pairs(folder, name))])
+        Candidates(dataset.pair_set(name), [*keys, *(_answered_pairs(folder, name) if keeps else ())])
         for name, keys in wanted.items()
     ]
-    return run_method(
-        dataset,
-        pools,
-        spec,
-        results,
-        overwrite=overwrite,
-        run=run,
-        seed=seed,
-        reporter=reporter,
-    )
+    return run_method(dataset, pools, spec, results, asking)
 
 
 def read_tracked(dataset: Dataset, folder: MethodResults, task: str) -> Tracked:

@@ -19,15 +19,14 @@ from relocbench.evaluation.common.foreign import parse_apart
 from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.common.options import EvaluationOptions, ExecutionOptions
 from relocbench.evaluation.common.results import PREDICTIONS, MethodResults
-from relocbench.evaluation.common.runs import run_each
-from relocbench.evaluation.relocalization.basin import Basins, given_basin, read_basins
+from relocbench.evaluation.common.runs import Asking, run_each
+from relocbench.evaluation.relocalization.basin import Basin, Basins, given_basin, read_basins
 from relocbench.evaluation.relocalization.candidates import read_tracked, track_candidates
 from relocbench.evaluation.relocalization.pipeline import Retrieved, keyframe_poses
 from relocbench.evaluation.relocalization.rankings import RankingSource, label_of, run_retrievers
 from relocbench.evaluation.relocalization.records import (
     KEYFRAME,
     ORACLE,
-    PipelineBasin,
     PipelineResults,
     PipelineRun,
     PipelineScores,
@@ -43,7 +42,7 @@ from relocbench.evaluation.retrieval.evaluate import KEEP
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
 from relocbench.evaluation.retrieval.records import set_results
 from relocbench.evaluation.retrieval.score import unanswered
-from relocbench.execution import Run, kept_workers
+from relocbench.execution import kept_workers
 from relocbench.files import check_label
 from relocbench.methods import RETRIEVERS, TRACKERS, MethodKind, MethodSpec
 from relocbench.methods.specs import parse_method, setting_label
@@ -98,7 +97,7 @@ class RelocalizationReport:
         tasks = self._scores[folder.label].tasks
         return {name: values for name, values in tasks.items() if name in self.tasks.names}
 
-    def basins(self, folder: PipelineResults) -> dict[str, PipelineBasin]:
+    def basins(self, folder: PipelineResults) -> dict[str, Basin]:
         """A pipeline's basins on the evaluated tasks."""
         return {name: basin for name, basin in self._scores[folder.label].basins.items() if name in self.tasks.names}
 
@@ -153,45 +152,25 @@ def evaluate_pipelines(options: RelocalizationOptions, reporter: Reporter) -> Re
     dataset = open_for_evaluation(options.dataset, options.out)
     places = SetOptions(options.split, options.pair_sets, positives="pairs")
     tasks = pipeline_tasks(dataset, open_set(options.dataset, options.out, places, reporter), reporter)
-    return _evaluate(options, run, dataset, tasks, retrievers, trackers, basins, reporter)
+    asking = Asking(run, reporter, options.overwrite, options.seed)
+    return _evaluate(options, asking, dataset, tasks, retrievers, trackers, basins)
 
 
 def _evaluate(
     options: RelocalizationOptions,
-    run: Run,
+    asking: Asking,
     dataset: Dataset,
     tasks: PipelineTasks,
     retrievers: Sequence[MethodSpec | str],
     trackers: Sequence[MethodSpec],
     basins: Basins,
-    reporter: Reporter,
 ) -> RelocalizationReport:
-    ranked, unmade = run_retrievers(
-        tasks.asked,
-        retrievers,
-        set_results(options.out, tasks.asked),
-        overwrite=options.overwrite,
-        run=run,
-        seed=options.seed,
-        reporter=reporter,
-    )
+    ranked, unmade = run_retrievers(tasks.asked, retrievers, set_results(options.out, tasks.asked), asking)
     results = pipeline_results(options.out, tasks.record.name, tasks.record.fingerprint)
     write_set(results, tasks.record)
     retrieved = {each.label: _retrieved(each, tasks, options.top) for each in ranked}
     wanted = {name: _pairs(tasks.truth[name], [of[name] for of in retrieved.values()]) for name in tasks.names}
-    done, left_out = run_each(
-        trackers,
-        lambda spec: track_candidates(
-            dataset,
-            wanted,
-            spec,
-            results.trackers,
-            overwrite=options.overwrite,
-            run=run,
-            seed=options.seed,
-            reporter=reporter,
-        ),
-    )
+    done, left_out = run_each(trackers, lambda spec: track_candidates(dataset, wanted, spec, results.trackers, asking))
     answered = [folder for _, folder in done]
     answers = {folder.label: {name: read_tracked(dataset, folder, name) for name in tasks.names} for folder in answered}
     folders = []

@@ -82,7 +82,7 @@ def _answer(
         [a.confidence if key in tracked.poses else None for a, key in zip(answers, keys, strict=True)],
         [key in tracked.poses for key in keys],
     )
-    errors = _errors([tracked.poses.get(key) for key in keys], T_query_ref)
+    errors = errors_where_known([tracked.poses.get(key) for key in keys], T_query_ref)
     right = np.flatnonzero(np.asarray(within(errors, *RIGHT)))
     right_rank = int(right[0]) + 1 if right.size else None
     if kept is None:
@@ -134,8 +134,8 @@ def most_confident(confidence: Sequence[float | None], answered: Sequence[bool])
     return max(known, key=lambda i: (-np.inf if (c := confidence[i]) is None else c, -i))
 
 
-def _errors(poses: Sequence[Array | None], T_query_ref: Array) -> PoseErrors:
-    """The errors of the answers; infinite where there is no answer, or no truth to judge it by."""
+def errors_where_known(poses: Sequence[Array | None], T_query_ref: Array) -> PoseErrors:
+    """The errors of answers to (N, 4, 4) true poses; infinite where there is no answer, or no truth to judge it by."""
     known: Mask = np.all(np.isfinite(T_query_ref), axis=(1, 2))
     answers = np.array([np.full((4, 4), np.nan) if T is None else T for T in poses]).reshape(-1, 4, 4)
     return pose_errors(answers, np.where(known[:, None, None], T_query_ref, np.eye(4)), answered=known)

@@ -7,22 +7,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from relocbench.evaluation.common.options import Overwrite
 from relocbench.evaluation.common.results import PREDICTIONS
-from relocbench.evaluation.common.runs import run_each
+from relocbench.evaluation.common.runs import Asking, run_each
 from relocbench.evaluation.relocalization.pipeline import Retrieved
 from relocbench.evaluation.relocalization.records import ORACLE
 from relocbench.evaluation.relocalization.truth import MapTruth
-from relocbench.evaluation.retrieval.answers import read_answers, read_lists
+from relocbench.evaluation.retrieval.answers import ANSWERS, read_task_lists
 from relocbench.evaluation.retrieval.evaluate import KEEP
 from relocbench.evaluation.retrieval.external import import_rankings
 from relocbench.evaluation.retrieval.opening import OpenedSet
 from relocbench.evaluation.retrieval.records import RetrievalRun, RetrieverResults, SetResults, write_set_record
 from relocbench.evaluation.retrieval.run import run_retriever
 from relocbench.evaluation.retrieval.score import score_retriever
-from relocbench.execution import Run
 from relocbench.methods import MethodSpec
-from relocbench.progress import Reporter
 from relocbench.retrieval import RetrievalTask
 
 
@@ -67,26 +64,17 @@ class StoredRankings:
         return self.folder.run_record()
 
     def of(self, task: RetrievalTask, truth: MapTruth, top: int) -> list[Retrieved]:
-        queries = {image.key: index for index, image in enumerate(task.queries)}
-        gallery = {image.key: index for index, image in enumerate(task.gallery)}
-        lists = read_lists(self.folder.predictions(task.name), queries, gallery)
-        answers = {a.query: a for a in read_answers(self.folder.answers(task.name))}
-        out = []
-        for key in queries:
-            answer = answers[key]
-            out.append(Retrieved(lists[key][:top], answer.status, answer.seconds, answer.message))
-        return out
+        lists = read_task_lists(self.folder.predictions(task.name), task)
+        answers = {a.query: a for a in ANSWERS.read(self.folder.answers(task.name))}
+        known = [(listed[:top], answers[key]) for key, listed in lists.items()]
+        return [Retrieved(listed, answer.status, answer.seconds, answer.message) for listed, answer in known]
 
 
 def run_retrievers(
     opened: OpenedSet,
     retrievers: Sequence[MethodSpec | str],
     results: SetResults,
-    *,
-    overwrite: Overwrite,
-    run: Run,
-    seed: int,
-    reporter: Reporter,
+    asking: Asking,
 ) -> tuple[list[RankingSource], list[tuple[str, str]]]:
     """Run retrievers as ``relocbench evaluate-retrieval --positives pairs`` does, unless they have answered.
 
@@ -109,17 +97,7 @@ def run_retrievers(
             path = Path(retriever.partition("=")[2].removeprefix(PREDICTIONS))
             folder = import_rankings(opened, opened.chosen, path, label_of(retriever), results)
         else:
-            folder = run_retriever(
-                opened,
-                opened.chosen,
-                retriever,
-                results,
-                keep=KEEP,
-                overwrite=overwrite,
-                run=run,
-                seed=seed,
-                reporter=reporter,
-            )
+            folder = run_retriever(opened, opened.chosen, retriever, results, KEEP, asking)
         write_set_record(results, opened, opened.chosen)
         score_retriever(results.record, folder)
         return StoredRankings(folder)

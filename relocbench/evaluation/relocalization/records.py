@@ -23,7 +23,7 @@ from relocbench.evaluation.common.results import (
     RunRecord,
     write_record,
 )
-from relocbench.evaluation.relocalization.basin import Source
+from relocbench.evaluation.relocalization.basin import Basin
 from relocbench.evaluation.retrieval.records import RetrievalRun
 from relocbench.files import load_yaml
 
@@ -97,14 +97,6 @@ class PipelineRun(Strict):
     """None where no tracker ran"""
 
 
-class PipelineBasin(Strict):
-    """The basin of a pipeline's tracker on one task: how far a keyframe may be from the query to be in it."""
-
-    metres: float
-    degrees: float
-    source: Source
-
-
 class PipelineScores(Strict):
     """``scores.yaml`` of a pipeline."""
 
@@ -113,7 +105,7 @@ class PipelineScores(Strict):
     """SHA-256 of ``run.yaml``; empty in results of versions that did not record it"""
     answers: dict[JoinedName, str]
     """task -> SHA-256 of its table"""
-    basins: dict[str, PipelineBasin]
+    basins: dict[str, Basin]
     tasks: dict[str, dict[str, float | int | None]]
     """task -> counts, metrics, and ``METRIC_low`` and ``METRIC_high`` of their 95 % intervals"""
 

@@ -17,7 +17,6 @@ from relocbench.evaluation.relocalization.rankings import Oracle, StoredRankings
 from relocbench.evaluation.relocalization.records import (
     KEYFRAME,
     ORACLE,
-    PipelineBasin,
     PipelineRun,
     PipelineSetResults,
 )
@@ -67,7 +66,7 @@ class PipelineTruth:
         return None if retrieved is None or tracked is None else (retrieved, tracked)
 
     def rescored(
-        self, run: PipelineRun, name: str, basin: PipelineBasin, claimed: Sequence[PipelineAnswer], path: Path
+        self, run: PipelineRun, name: str, basin: Basin, claimed: Sequence[PipelineAnswer], path: Path
     ) -> bool:
         """Whether the rows of a pipeline on a task follow from rankings, answers and truth.
 
@@ -83,14 +82,14 @@ class PipelineTruth:
             PredictionError: the rows are others.
         """
         truth = self._tasks.truth[name]
-        if basin.source == "pairs" and not _close((basin.metres, basin.degrees), truth.reach):
+        if basin.source == "pairs" and not _close(basin.limits, truth.reach):
             raise PredictionError(f"the basin on '{name}' is not the reach of the dataset's pairs; {AGAIN}", path)
         both = self.asked(run, name)
         if both is None:
             return False
         found, tracked = both
         try:
-            rows, _ = pipeline_answers(truth, found, tracked, run.top, Basin(basin.metres, basin.degrees, basin.source))
+            rows, _ = pipeline_answers(truth, found, tracked, run.top, basin)
         except KeyError:
             raise PredictionError(f"the tracker has no answers to what '{name}' ranks; {AGAIN}", path) from None
         by_query = {row.query_timestamp_ns: row for row in rows}

@@ -8,11 +8,10 @@ from relocbench import version
 from relocbench.datasets.core.pairfile import write_pose_lines
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import first_crash, write_record
-from relocbench.evaluation.relocalization.answers import read_pipeline, write_pipeline
+from relocbench.evaluation.relocalization.answers import PIPELINE
 from relocbench.evaluation.relocalization.basin import Basins
 from relocbench.evaluation.relocalization.pipeline import Retrieved, Tracked, pipeline_answers
 from relocbench.evaluation.relocalization.records import (
-    PipelineBasin,
     PipelineResults,
     PipelineRun,
     PipelineScores,
@@ -50,9 +49,9 @@ def write_pipeline_results(
         basin = basins.of(run.tracker, *conditions, truth.reach)
         rows, lines = pipeline_answers(truth, retrieved[name], tracked[name], run.top, basin)
         write_pose_lines(folder.predictions(name), lines)
-        write_pipeline(folder.answers(name), rows)
+        PIPELINE.write(folder.answers(name), rows)
         hashes[name] = sha256_file(folder.answers(name))
-        used[name] = PipelineBasin(metres=basin.metres, degrees=basin.degrees, source=basin.source)
+        used[name] = basin
         scores[name] = summary(rows, run.top)
     write_record(folder.run_yaml, run)
     record_of_scores = PipelineScores(
@@ -68,7 +67,7 @@ def write_pipeline_results(
 
 def crashed_queries(folder: PipelineResults, names: Sequence[str]) -> list[tuple[str, str]]:
     """The label and a message if a method broke, rather than failed, on any query; else nothing."""
-    rows = [row for name in names for row in read_pipeline(folder.answers(name))]
+    rows = [row for name in names for row in PIPELINE.read(folder.answers(name))]
     crashed = [(row.query_timestamp_ns, row.message) for row in rows if row.status == "error"]
     return first_crash(folder.label, f"no answer to {len(crashed)} of {len(rows)} queries for an error", crashed)
 

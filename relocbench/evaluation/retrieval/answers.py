@@ -14,6 +14,7 @@ from relocbench.errors import PredictionError, quoted
 from relocbench.evaluation.tables.schema import COUNT, SECONDS, STATUS, TEXT, Kind, Record, Schema, TableRow
 from relocbench.files import atomic_write, lines_of, read_text, whole_number
 from relocbench.metrics import NEVER, Ranking
+from relocbench.retrieval import RetrievalTask
 
 
 def _read_ranks(row: TableRow, name: str) -> tuple[int, ...]:
@@ -68,20 +69,6 @@ class QueryAnswer(Record):
 ANSWERS = Schema(QueryAnswer)
 
 
-def write_answers(path: Path, answers: Sequence[QueryAnswer]) -> None:
-    """Write ``TASK.csv``, in the order given."""
-    ANSWERS.write(path, answers)
-
-
-def read_answers(path: Path) -> list[QueryAnswer]:
-    """Read ``TASK.csv``.
-
-    Raises:
-        PredictionError: with file and line: wrong columns, an invalid status or rank, or a query that occurs twice.
-    """
-    return ANSWERS.read(path)
-
-
 def ranking_of(answers: Sequence[QueryAnswer], gallery: int) -> Ranking:
     """Convert the ranks to what the metrics take; ``gallery`` is its size with junk."""
     counts = [a.positives for a in answers]
@@ -97,6 +84,12 @@ def write_lists(path: Path, lists: Mapping[str, Sequence[str]]) -> None:
     with atomic_write(path) as stream:
         for query, retrieved in lists.items():
             stream.writelines(f"{query} {image}\n" for image in retrieved)
+
+
+def read_task_lists(path: Path, task: RetrievalTask) -> dict[str, list[int]]:
+    """Read the file of a task, as :func:`read_lists`, in the order of its queries."""
+    queries, gallery = ({image.key: place for place, image in enumerate(of)} for of in (task.queries, task.gallery))
+    return read_lists(path, queries, gallery)
 
 
 def read_lists(path: Path, queries: Mapping[str, int], gallery: Mapping[str, int]) -> dict[str, list[int]]:

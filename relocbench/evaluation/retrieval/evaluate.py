@@ -14,8 +14,8 @@ from relocbench.evaluation.common.foreign import blind_methods
 from relocbench.evaluation.common.options import AnswerOptions, LimitOptions
 from relocbench.evaluation.common.predictions import predictions_label
 from relocbench.evaluation.common.results import first_crash
-from relocbench.evaluation.common.runs import run_each
-from relocbench.evaluation.retrieval.answers import read_answers
+from relocbench.evaluation.common.runs import Asking, run_each
+from relocbench.evaluation.retrieval.answers import ANSWERS
 from relocbench.evaluation.retrieval.external import import_rankings
 from relocbench.evaluation.retrieval.opening import OpenedSet, SetOptions, open_set
 from relocbench.evaluation.retrieval.records import RetrieverResults, SetRecord, set_results, write_set_record
@@ -119,19 +119,9 @@ def evaluate_retrievers(options: RetrievalOptions, reporter: Reporter) -> Retrie
         folders = [import_rankings(opened, opened.chosen, options.predictions, label, results)]
         write_set_record(results, opened, opened.chosen)
     else:
+        asking = Asking(run, reporter, options.overwrite, options.seed)
         done, left_out = run_each(
-            specs,
-            lambda spec: run_retriever(
-                opened,
-                opened.chosen,
-                spec,
-                results,
-                keep=options.keep,
-                overwrite=options.overwrite,
-                run=run,
-                seed=options.seed,
-                reporter=reporter,
-            ),
+            specs, lambda spec: run_retriever(opened, opened.chosen, spec, results, options.keep, asking)
         )
         folders = [folder for _, folder in done]
         write_set_record(results, opened, opened.chosen)
@@ -155,7 +145,7 @@ def _set_options(options: RetrievalOptions) -> SetOptions:
 
 
 def _crashes(folder: RetrieverResults, names: list[str]) -> list[tuple[str, str]]:
-    answers = [a for name in names if folder.complete(name) for a in read_answers(folder.answers(name))]
+    answers = [a for name in names if folder.complete(name) for a in ANSWERS.read(folder.answers(name))]
     crashed = [(a.query, a.message) for a in answers if a.status == BROKEN]
     return first_crash(
         folder.label, f"crashed on {len(crashed)} of {len(answers)} queries, counted as not found", crashed

@@ -7,13 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.traversal import Traversal
-from relocbench.datasets.pairs.street_places import StreetPlaces, image_key
+from relocbench.datasets.pairs.street_places import image_key
 from relocbench.errors import PredictionError, available, quoted
 from relocbench.evaluation.common.folders import sets_in
 from relocbench.evaluation.common.image_names import listed_name
-from relocbench.evaluation.retrieval.answers import read_answers, read_lists
-from relocbench.evaluation.retrieval.records import RetrieverResults, SetRecord, SetResults
+from relocbench.evaluation.retrieval.answers import ANSWERS, read_lists
+from relocbench.evaluation.retrieval.records import RetrieverResults, SetResults
+from relocbench.evaluation.retrieval.rescoring import street_places
 from relocbench.files import write_text
 
 
@@ -72,7 +74,7 @@ def _export(dataset: Dataset, pair_set: str, folder: RetrieverResults, out: Path
     asked, gallery = _times(query, chosen.query_camera), _times(reference, chosen.reference_camera)
     keyframes = list(gallery.values())
     lists = read_lists(folder.predictions(pair_set), asked, {key: index for index, key in enumerate(gallery)})
-    lines, unanswered, answers = [], 0, read_answers(folder.answers(pair_set))
+    lines, unanswered, answers = [], 0, ANSWERS.read(folder.answers(pair_set))
     for answer in answers:
         if answer.query not in asked:
             raise PredictionError(f"unknown query {quoted(answer.query)}", folder.answers(pair_set))
@@ -92,13 +94,18 @@ def _times(traversal: Traversal, camera: str) -> dict[str, int]:
 
 def _rankings(dataset: Dataset, results: Path, retriever: str) -> tuple[SetResults, RetrieverResults]:
     """The only retrieval set of this dataset that has a retriever's rankings, and these. Raises PredictionError."""
-    sets = [one for one in sets_in(results, SetResults) if _is_of(dataset, one.record)]
+    made_of = ((one, one.record) for one in sets_in(results, SetResults))
+    sets = [
+        one
+        for one, record in made_of
+        if (places := street_places(dataset, record)) is not None and places.fingerprint == record.fingerprint
+    ]
     labels = {one.root: [method.label for method in one.methods()] for one in sets}
     having = [one for one in sets if retriever in labels[one.root]]
     if not having:
         known = sorted({label for of in labels.values() for label in of})
         raise PredictionError(
-            f"no rankings of '{retriever}' on {dataset.name}@{dataset.fingerprint[:12]}; there are "
+            f"no rankings of '{retriever}' on {dataset.name}@{dataset.fingerprint[:SHORT]}; there are "
             f"{', '.join(known) or 'none'}",
             results,
         )
@@ -109,13 +116,3 @@ def _rankings(dataset: Dataset, results: Path, retriever: str) -> tuple[SetResul
             results,
         )
     return having[0], having[0].method(retriever)
-
-
-def _is_of(dataset: Dataset, record: SetRecord) -> bool:
-    """Whether a retrieval set was made of this very dataset."""
-    radius, heading = (record.options.get(name) for name in ("radius", "heading"))
-    if record.options.get("positives") == "pairs":
-        return StreetPlaces(dataset, rule="pairs").fingerprint == record.fingerprint
-    if not isinstance(radius, int | float) or isinstance(heading, str):
-        return False
-    return StreetPlaces(dataset, radius, heading).fingerprint == record.fingerprint

@@ -8,7 +8,7 @@ from pathlib import Path
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.predictions import adopted_run, prediction_files
 from relocbench.evaluation.common.results import PREDICTIONS, write_record
-from relocbench.evaluation.retrieval.answers import QueryAnswer, read_lists, write_answers, write_lists
+from relocbench.evaluation.retrieval.answers import ANSWERS, QueryAnswer, read_task_lists, write_lists
 from relocbench.evaluation.retrieval.records import RetrievalRun, RetrieverResults, SetResults
 from relocbench.metrics import NEVER, rank_lists
 from relocbench.retrieval import RetrievalSet, RetrievalTask
@@ -28,29 +28,17 @@ def import_rankings(
     """
     chosen, names = {task.name: task for task in tasks}, [task.name for task in retrieval_set.tasks()]
     files = prediction_files(source, chosen, names, unit="task", name=retrieval_set.name)
-    known = RetrievalRun(
-        method=label,
-        target=f"{PREDICTIONS}{source.resolve().name}",
-        dataset=retrieval_set.name,
-        fingerprint=retrieval_set.fingerprint,
-        question=getattr(retrieval_set, "content_id", ""),
-    )
+    known = RetrievalRun.on(retrieval_set, method=label, target=f"{PREDICTIONS}{source.resolve().name}")
     folder = results.method(label)
     record = adopted_run(folder, source / "run.yaml", known, "the record of a retrieval run")
     if source.resolve() == folder.root.resolve():
         raise PredictionError("is where the predictions of this label are kept; choose another label", source)
-    checked = [(task, *_checked(task, path)) for task, path in files]
+    checked = [(task, *answers_to(task, read_task_lists(path, task))) for task, path in files]
     for task, lists, answers in checked:
         write_lists(folder.predictions(task.name), lists)
-        write_answers(folder.answers(task.name), answers)
+        ANSWERS.write(folder.answers(task.name), answers)
     write_record(folder.run_yaml, record)
     return folder
-
-
-def _checked(task: RetrievalTask, path: Path) -> tuple[dict[str, list[str]], list[QueryAnswer]]:
-    queries = {image.key: index for index, image in enumerate(task.queries)}
-    gallery = {image.key: index for index, image in enumerate(task.gallery)}
-    return answers_to(task, read_lists(path, queries, gallery))
 
 
 def answers_to(

@@ -8,14 +8,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
 
-from relocbench.evaluation.isolation.worker import (
-    CONSTRUCTOR,
-    HOPELESS,
-    TRIES,
-    given_up_message,
-    is_final,
-    loss_message,
-)
+from relocbench.evaluation.isolation.losses import HOPELESS, TRIES, given_up_message, is_final, loss_message
+from relocbench.evaluation.isolation.worker import CONSTRUCTOR
 from relocbench.evaluation.retrieval.isolation import IsolatedRetriever
 from relocbench.evaluation.retrieval.local import CallResult, LocalRetriever, create_retriever
 from relocbench.execution import MANY_TIMES, Limits, Loss, Run, Sandbox, run_limited, step

@@ -36,17 +36,20 @@ def _is_float(values: NDArray[Any]) -> bool:
 
 
 def checked_descriptors(
-    values: object, crash: str | None, count: int, dimensions: int | None = None
+    values: object, crash: str | None, count: int
 ) -> tuple[NDArray[np.floating] | None, str | None]:
     """What ``describe`` returned for ``count`` images as a plain array (N, D), or None and an error message."""
+    plain, fault = _plain(values, crash, "describe")
+    fault = fault or fault_of(plain, count)
+    return (None, fault) if fault else (plain, None)
+
+
+def _plain(values: object, crash: str | None, call: str) -> tuple[Any, str | None]:
+    """What a call returned, a subclass of ndarray, which could behave differently at each look, as a plain array."""
     if crash is not None:
         return None, crash
-    # np.asarray turns a subclass of ndarray, which could behave differently at each look, into a plain array.
     plain, crash = guarded(lambda: np.asarray(values) if isinstance(values, np.ndarray) else values)
-    if crash is not None:
-        return None, f"what describe returned cannot be read: {crash}"
-    fault = fault_of(plain, count, dimensions)
-    return (None, fault) if fault else (plain, None)
+    return plain, crash and f"what {call} returned cannot be read: {crash}"
 
 
 def rerank_top_of(retriever: object) -> tuple[int, str | None]:
@@ -62,12 +65,9 @@ def rerank_top_of(retriever: object) -> tuple[int, str | None]:
 
 def checked_scores(values: object, crash: str | None, count: int) -> tuple[Array | None, str | None]:
     """What ``rerank`` returned for ``count`` candidates as (K,) float64, or None and an error message."""
-    if crash is not None:
-        return None, crash
-    plain: Any
-    plain, crash = guarded(lambda: np.asarray(values) if isinstance(values, np.ndarray) else values)
-    if crash is not None:
-        return None, f"what rerank returned cannot be read: {crash}"
+    plain, fault = _plain(values, crash, "rerank")
+    if fault:
+        return None, fault
     if not isinstance(plain, np.ndarray) or plain.shape != (count,):
         shape = f"shape {plain.shape}" if isinstance(plain, np.ndarray) else type(plain).__name__
         return None, f"rerank returned {shape} for {count} candidates, expected ({count},)"

@@ -18,7 +18,7 @@ from relocbench.datasets.cross_view import CrossViewSet
 from relocbench.datasets.pairs.street_places import StreetPlaces
 from relocbench.errors import ConfigError, PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
-from relocbench.evaluation.retrieval.answers import QueryAnswer, read_lists
+from relocbench.evaluation.retrieval.answers import QueryAnswer, read_task_lists
 from relocbench.evaluation.retrieval.records import (
     METRICS,
     SET_FILE,
@@ -81,9 +81,7 @@ class RetrievalTruth:
             PredictionError: a row is another one, or ``TASK.txt`` is bad.
         """
         task = self._tasks[name]
-        queries = {image.key: index for index, image in enumerate(task.queries)}
-        gallery = {image.key: index for index, image in enumerate(task.gallery)}
-        kept_of = read_lists(folder.predictions(name), queries, gallery)
+        kept_of = read_task_lists(folder.predictions(name), task)
         lists = [np.array(kept, dtype=np.int64) for kept in kept_of.values()]
         if keep is not None and any(len(kept) > keep for kept in lists):
             words = f"holds more images of a query than the {keep} that {folder.run_yaml.name} says are kept"
@@ -91,7 +89,7 @@ class RetrievalTruth:
         ranking = rank_lists(lists, task.relevance)
         live = int(np.sum(~task.relevance.junk))
         depth = _depths(lists, task, keep, live)
-        if [row.query for row in claimed] != list(queries):
+        if [row.query for row in claimed] != list(kept_of):
             raise PredictionError(f"has other queries than the dataset; {AGAIN}", folder.answers(name))
         for q, row in enumerate(claimed):
             fault = _fault(row, task.groups[q] if task.groups else "", ranking, q, int(depth[q]), live)
@@ -127,7 +125,7 @@ def belongs(dataset: Dataset | CrossViewSet, record: SetRecord) -> bool:
     """Whether results are of a dataset or of a copy of it."""
     if isinstance(dataset, CrossViewSet) and record.options:
         return False  # without reading its images
-    places = _street(dataset, record) if isinstance(dataset, Dataset) else dataset
+    places = street_places(dataset, record) if isinstance(dataset, Dataset) else dataset
     return places is not None and (
         _has_fingerprint(places, record) or (places.name == record.name and places.content_id == record.question)
     )
@@ -137,16 +135,16 @@ def _find(
     record: SetRecord, lookup: DatasetLookup, is_it: Callable[[StreetPlaces | CrossViewSet, SetRecord], bool]
 ) -> StreetPlaces | CrossViewSet | None:
     def has_places(dataset: Dataset) -> bool:
-        places = _street(dataset, record)
+        places = street_places(dataset, record)
         return places is not None and is_it(places, record)
 
     if not record.options:
         return lookup.find_cross_view(lambda one: is_it(one, record))
     dataset = lookup.find(has_places)
-    return None if dataset is None else _street(dataset, record)
+    return None if dataset is None else street_places(dataset, record)
 
 
-def _street(dataset: Dataset, record: SetRecord) -> StreetPlaces | None:
+def street_places(dataset: Dataset, record: SetRecord) -> StreetPlaces | None:
     """The dataset as the retrieval set of the record's options; None where no set has such options."""
     if record.options == {"positives": "pairs"}:
         return StreetPlaces(dataset, rule="pairs")

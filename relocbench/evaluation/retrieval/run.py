@@ -12,8 +12,8 @@ from typing import Any
 from relocbench.errors import DatasetError, PredictionError
 from relocbench.evaluation.common.options import Overwrite
 from relocbench.evaluation.common.results import write_record
-from relocbench.evaluation.common.runs import clear, made_by, now, refuse_mixture, refuse_submitted
-from relocbench.evaluation.retrieval.answers import QueryAnswer, read_answers, write_answers, write_lists
+from relocbench.evaluation.common.runs import Asking, clear, made_by, now, refuse_mixture, refuse_submitted
+from relocbench.evaluation.retrieval.answers import ANSWERS, QueryAnswer, write_lists
 from relocbench.evaluation.retrieval.describe import (
     AnonymousViews,
     Describer,
@@ -31,10 +31,9 @@ from relocbench.evaluation.retrieval.records import (
     write_set_record,
 )
 from relocbench.evaluation.tables.schema import STATUSES
-from relocbench.execution import Run, default_workers
+from relocbench.execution import default_workers
 from relocbench.files import locked_folder
 from relocbench.methods import MethodSpec
-from relocbench.progress import Reporter
 from relocbench.retrieval import RetrievalSet, RetrievalTask, Retriever
 
 BROKEN = STATUSES[2]
@@ -55,20 +54,14 @@ def run_retriever(
     tasks: Sequence[RetrievalTask],
     spec: MethodSpec,
     results: SetResults,
-    *,
     keep: int | None,
-    overwrite: Overwrite = "never",
-    run: Run = Run(),
-    seed: int = 0,
-    reporter: Reporter,
+    asking: Asking,
 ) -> RetrieverResults:
     """Run the tasks that a retriever has not answered yet.
 
     Args:
         keep: number of retrieved images that are kept of each query; None for all.
-        overwrite: ``never`` keeps every finished task, ``failed`` repeats tasks in which a query failed or broke,
-            ``always`` starts over.
-        run: where the method runs, in a worker process or, with 0 workers, in this process; and its limits.
+        asking: ``failed`` repeats whole tasks. The method runs in a worker process or, with 0 workers, in this one.
 
     Raises:
         MethodError: the retriever cannot be made, or reports that it cannot go on.
@@ -76,21 +69,23 @@ def run_retriever(
         DatasetError: an image cannot be read.
     """
     folder = results.method(spec.label)
-    record = _new_record(retrieval_set, spec, seed, keep)
+    record = RetrievalRun.on(retrieval_set, keep=keep, **made_by(spec, default_workers(), asking.seed))
     refuse_submitted(folder)
-    run = run.hiding(results.root)
-    todo = [task for task in tasks if overwrite == "always" or _open(folder, task, overwrite)]
-    asking = None
-    if overwrite == "always":
-        # A method that cannot be made must not cost answers.
-        asking = RetrieverSession(lambda: retriever_handle(spec, run), todo, seed, retrieval_set.fingerprint)
+    run, anew = asking.run.hiding(results.root), asking.overwrite == "always"
+    todo = [task for task in tasks if anew or _open(folder, task, asking.overwrite)]
+
+    def new_session() -> RetrieverSession:
+        return RetrieverSession(lambda: retriever_handle(spec, run), todo, asking.seed, retrieval_set.fingerprint)
+
+    session = None
+    if anew:
+        session = new_session()  # a method that cannot be made must not cost answers
         clear(folder, [task.name for task in tasks])
     refuse_mixture(folder, record, work_left=bool(todo))
     _refuse_other_lists(folder, record)
     if not todo:
         return folder
-    if asking is None:  # before a folder is made, which a method that cannot be made would leave empty
-        asking = RetrieverSession(lambda: retriever_handle(spec, run), todo, seed, retrieval_set.fingerprint)
+    session = session or new_session()  # before a folder is made, which a method that cannot be made would leave empty
     folder.root.mkdir(parents=True, exist_ok=True)
     write_set_record(results, retrieval_set, tasks)
     with locked_folder(folder.root, PredictionError):
@@ -98,14 +93,14 @@ def run_retriever(
             write_record(folder.run_yaml, record)
         # Each query counts twice: when it is described, and when it is ranked.
         steps = sum(2 * len(task.queries) + len(task.gallery) for task in todo)
-        with reporter.stage(f"{spec.label} on {retrieval_set.name}", steps) as advance:
+        with asking.reporter.stage(f"{spec.label} on {retrieval_set.name}", steps) as advance:
             for task in todo:
-                done = asking.ask(task, keep, advance)
+                done = session.ask(task, keep, advance)
                 write_lists(folder.predictions(task.name), done.lists)
-                write_answers(folder.answers(task.name), done.answers)
+                ANSWERS.write(folder.answers(task.name), done.answers)
                 so_far = folder.run_record()
                 tasks_done = {**so_far.tasks, task.name: done.run}
-                so_far = so_far.model_copy(update={"tasks": dict(sorted(tasks_done.items())), "info": asking.info})
+                so_far = so_far.model_copy(update={"tasks": dict(sorted(tasks_done.items())), "info": session.info})
                 write_record(folder.run_yaml, so_far.model_copy(update={"end": now()}))
     return folder
 
@@ -209,7 +204,7 @@ def _open(folder: RetrieverResults, task: RetrievalTask, overwrite: Overwrite) -
     """Whether a task is still to be run."""
     if not folder.complete(task.name):
         return True
-    answers = read_answers(folder.answers(task.name))
+    answers = ANSWERS.read(folder.answers(task.name))
     if [a.query for a in answers] != [q.key for q in task.queries]:
         raise PredictionError(f"holds other queries than task '{task.name}'", folder.answers(task.name))
     return overwrite == "failed" and any(a.status != "ok" for a in answers)
@@ -222,13 +217,3 @@ def _refuse_other_lists(folder: RetrieverResults, record: RetrievalRun) -> None:
             f"give this run a label (LABEL={record.target}) or use --overwrite always",
             folder.run_yaml,
         )
-
-
-def _new_record(retrieval_set: RetrievalSet, spec: MethodSpec, seed: int, keep: int | None) -> RetrievalRun:
-    return RetrievalRun(
-        dataset=retrieval_set.name,
-        fingerprint=retrieval_set.fingerprint,
-        question=getattr(retrieval_set, "content_id", ""),
-        keep=keep,
-        **made_by(spec, default_workers(), seed),
-    )

@@ -9,7 +9,7 @@ import numpy as np
 from relocbench import version
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import check_made_for, write_record
-from relocbench.evaluation.retrieval.answers import QueryAnswer, ranking_of, read_answers
+from relocbench.evaluation.retrieval.answers import ANSWERS, QueryAnswer, ranking_of
 from relocbench.evaluation.retrieval.records import (
     METRICS,
     RetrieverResults,
@@ -54,7 +54,7 @@ def score_retriever(asked: SetRecord, folder: RetrieverResults) -> RetrieverScor
 def checked_answers(name: str, record: TaskRecord, folder: RetrieverResults) -> list[QueryAnswer]:
     """Read a task's table. Raises PredictionError unless it has a valid row for each query."""
     path = folder.answers(name)
-    answers = read_answers(path)
+    answers = ANSWERS.read(path)
     if len(answers) != record.queries:
         raise PredictionError(f"{len(answers)} rows, expected one for each of {record.queries} queries", path)
     for answer in answers:

@@ -14,7 +14,7 @@ from relocbench.datasets.checks.faults import Findings
 from relocbench.datasets.pairs.street_places import StreetPlaces
 from relocbench.errors import PredictionError, quoted
 from relocbench.evaluation.common.results import MethodResults, RunRecord
-from relocbench.evaluation.retrieval.answers import write_answers, write_lists
+from relocbench.evaluation.retrieval.answers import ANSWERS, write_lists
 from relocbench.evaluation.retrieval.external import answers_to
 from relocbench.evaluation.retrieval.opening import OpenedSet, open_set
 from relocbench.evaluation.retrieval.records import (
@@ -137,12 +137,12 @@ class RankedDataset(AnsweredDataset):
             lists = {q.key: [gallery[key] for key in of.lists.get(q.key, ())] for q in of.task.queries}
             kept, answers = answers_to(of.task, lists)
             write_lists(row.predictions(of.name), kept)
-            write_answers(row.answers(of.name), answers)
+            ANSWERS.write(row.answers(of.name), answers)
         return row
 
     def run_record(self, fields: dict[str, Any]) -> RunRecord:
         opened = self.resolved.images
-        return RetrievalRun(**fields, dataset=opened.name, fingerprint=opened.fingerprint, question=opened.content_id)
+        return RetrievalRun.on(opened, **fields)
 
     def score(self, row: MethodResults) -> None:
         score_retriever(SetResults(row.root.parent).record, RetrieverResults(row.root))

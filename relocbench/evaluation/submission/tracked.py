@@ -238,13 +238,7 @@ class TrackedDataset(AnsweredDataset):
 
     def run_record(self, fields: dict[str, Any]) -> RunRecord:
         dataset = self.resolved.dataset
-        return RunRecord(
-            **fields,
-            dataset=dataset.name,
-            fingerprint=dataset.fingerprint,
-            question=dataset.content_id,
-            answered_on=self.resolved.answered_on,
-        )
+        return RunRecord.on(dataset, **fields, answered_on=self.resolved.answered_on)
 
     def score(self, row: MethodResults) -> None:
         score_method(self.resolved.dataset, self.resolved.dataset.pair_sets(), row)

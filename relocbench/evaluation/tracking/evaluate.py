@@ -20,13 +20,12 @@ from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.common.options import AnswerOptions, ExecutionOptions
 from relocbench.evaluation.common.predictions import predictions_label
 from relocbench.evaluation.common.results import (
-    DatasetResults,
     MethodResults,
     dataset_results,
     first_crash,
     write_dataset_record,
 )
-from relocbench.evaluation.common.runs import run_each
+from relocbench.evaluation.common.runs import Asking, run_each
 from relocbench.evaluation.isolation.capabilities import capabilities_of
 from relocbench.evaluation.tables.answers import read_answers
 from relocbench.evaluation.tables.matching import read_matching
@@ -131,6 +130,7 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
     specs = [] if options.predictions else blind_methods(dataset.root, named, options.set, options.seed, run)
     pictured = _check_images(dataset, pair_sets, specs)
     results = dataset_results(options.out, dataset)
+    asking = Asking(run, reporter, options.overwrite, options.seed)
     left_out: list[tuple[str, str]] = []
     if options.predictions is not None:
         label = predictions_label(options.predictions, options.methods)
@@ -139,13 +139,11 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
     else:
         write_dataset_record(results, dataset)
         if pictured:
-            done, left_out = run_each(
-                specs, lambda spec: _run(dataset, pair_sets, spec, results, options, run, reporter)
-            )
+            done, left_out = run_each(specs, lambda spec: run_method(dataset, pair_sets, spec, results, asking))
         else:
             done = [(spec, run_identity(dataset, pair_sets, spec, results)) for spec in specs]
         if options.matching and pictured:
-            _match(dataset, pair_sets, done, options, run, reporter)
+            _match(dataset, pair_sets, done, asking)
         folders = [folder for _, folder in done]
         if CLOCK in options.methods:
             folders.append(run_clock(dataset, pair_sets, results))
@@ -165,43 +163,18 @@ def _check_images(dataset: Dataset, pair_sets: list[PairSet], specs: list[Method
     return all(dataset.has_images(pair_set) for pair_set in pair_sets)
 
 
-def _run(
-    dataset: Dataset,
-    pair_sets: list[PairSet],
-    spec: MethodSpec,
-    results: DatasetResults,
-    options: EvaluateOptions,
-    run: Run,
-    reporter: Reporter,
-) -> MethodResults:
-    return run_method(
-        dataset,
-        pair_sets,
-        spec,
-        results,
-        overwrite=options.overwrite,
-        run=run,
-        seed=options.seed,
-        reporter=reporter,
-    )
-
-
 def _match(
-    dataset: Dataset,
-    pair_sets: list[PairSet],
-    done: list[tuple[MethodSpec, MethodResults]],
-    options: EvaluateOptions,
-    run: Run,
-    reporter: Reporter,
+    dataset: Dataset, pair_sets: list[PairSet], done: list[tuple[MethodSpec, MethodResults]], asking: Asking
 ) -> None:
     """Measure matching quality of the methods that offer it; whatever is left out is reported."""
+    reporter = asking.reporter
     for name in (s.name for s in pair_sets if not dataset.layout.correspondence_file(s.name).exists()):
         reporter.note(f"{name} has no correspondences: no matching quality (build-dataset --correspondences N)")
     unable = []
     for spec, folder in done:
         try:
-            if capabilities_of(spec, run).match:
-                match_method(dataset, pair_sets, spec, folder, run=run, seed=options.seed, reporter=reporter)
+            if capabilities_of(spec, asking.run).match:
+                match_method(dataset, pair_sets, spec, folder, asking)
             else:
                 unable.append(spec.label)
         except MethodError as bad:  # it was made before, and its answers stand

@@ -43,13 +43,7 @@ def import_predictions(
             duplicate pair, another dataset's fingerprint, or a label that other predictions have.
     """
     theirs, ours = MethodResults(source), results.method(label)
-    known = RunRecord(
-        method=label,
-        target=f"{PREDICTIONS}{source.name}",
-        dataset=dataset.name,
-        fingerprint=dataset.fingerprint,
-        question=dataset.content_id,
-    )
+    known = RunRecord.on(dataset, method=label, target=f"{PREDICTIONS}{source.name}")
     chosen = {s.name: s for s in pair_sets}
     files = prediction_files(source, chosen, dataset.pair_set_names, unit="pair set", name=dataset.name)
     record = adopted_run(ours, theirs.run_yaml, known, "the record of a run")

@@ -23,34 +23,33 @@ from relocbench.datasets.core.pairfile import PairKey
 from relocbench.datasets.pairs.correspondences import Correspondences
 from relocbench.errors import PredictionError, one_line
 from relocbench.evaluation.common.results import MethodResults
-from relocbench.evaluation.common.runs import refuse_mixture
+from relocbench.evaluation.common.runs import Asking, refuse_mixture
 from relocbench.evaluation.isolation.handles import TrackerHandle
-from relocbench.evaluation.isolation.worker import (
-    LossHandler,
-    Unit,
+from relocbench.evaluation.isolation.journal import (
     answered_keys,
     append_entry,
     journal_entries,
     open_journal,
-    query_of,
     remove_journal,
-    run_until_answered,
+    write_entry,
+)
+from relocbench.evaluation.isolation.losses import LossHandler, run_until_answered
+from relocbench.evaluation.isolation.worker import (
+    Assignment,
+    Unit,
+    query_of,
     show_keyframe,
     time_factor,
     tracker_of,
     traversal_of,
-    units_of,
-    visibility_of,
-    write_entry,
 )
 from relocbench.evaluation.tables.matching import MATCHING, OFFSETS_PX, MatchingRow, check_complete, read_matching
 from relocbench.evaluation.tracking.run import new_record
-from relocbench.execution import Run, step
+from relocbench.execution import step
 from relocbench.files import locked_folder
 from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec
 from relocbench.metrics import matching_quality
-from relocbench.progress import Reporter
 
 PER_PAIR = 1000
 """the largest number of visible correspondences of a pair that are used, each from one offset"""
@@ -109,16 +108,12 @@ def match_method(
     pair_sets: Sequence[PairSet],
     spec: MethodSpec,
     folder: MethodResults,
-    *,
-    run: Run = Run(),
-    seed: int = 0,
-    reporter: Reporter,
+    asking: Asking,
 ) -> None:
     """Measure what is missing of a method's matching quality; pair sets without correspondences are skipped.
 
     Args:
-        folder: the results of the method, which has answered the pairs before.
-        seed: of the run, to check that the folder was made with the same parameters. The starts do not depend on it.
+        folder: the results of the method, which has answered the pairs before, asked in the same way.
 
     Raises:
         PredictionError: the folder was made with other parameters or versions, or holds a bad ``PAIRSET.matching.csv``.
@@ -129,25 +124,23 @@ def match_method(
     left = [s for s in with_truth if not folder.matching(s.name).exists()]
     if not left:
         return
-    run = run.hiding(dataset.root, folder.root.parent)
-    visibility = visibility_of(spec, run)
-    refuse_mixture(folder, new_record(dataset, spec, run, visibility, seed), work_left=True)
+    assigned = Assignment.of(dataset, spec, asking.run.hiding(dataset.root, folder.root.parent), asking.seed)
+    refuse_mixture(folder, new_record(assigned), work_left=True)
 
     def open_units() -> list[Unit]:
         # Units of all pair sets together: starting worker processes for each set would take longer than the work.
         return [
             unit
             for pair_set in left
-            for unit in units_of(
-                dataset, pair_set, spec, _journal(folder, pair_set), _open_pairs(folder, pair_set), visibility, seed
-            )
+            for unit in assigned.units(pair_set, _journal(folder, pair_set), _open_pairs(folder, pair_set))
         ]
 
     with ExitStack() as alone:
         for pair_set in left:
             alone.enter_context(locked_folder(_journal(folder, pair_set), PredictionError))
-        with reporter.stage(f"{spec.label}, matching on {dataset.name}", sum(map(len, todo.values()))) as advance:
-            run_until_answered(_match_unit, open_units, LossHandler(_write_crash), run, advance)
+        stage = asking.reporter.stage(f"{spec.label}, matching on {dataset.name}", sum(map(len, todo.values())))
+        with stage as advance:
+            run_until_answered(_match_unit, open_units, LossHandler(_write_crash), assigned.run, advance)
         for pair_set in left:
             _collect(pair_set, folder)
 

@@ -16,34 +16,40 @@ from relocbench.datasets.core.pairfile import PairKey, number_fields, parse_pose
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.options import Overwrite
 from relocbench.evaluation.common.results import DatasetResults, MethodResults, RunRecord, write_record
-from relocbench.evaluation.common.runs import clear, has_answers, made_by, now, refuse_mixture, refuse_submitted
+from relocbench.evaluation.common.runs import (
+    Asking,
+    clear,
+    has_answers,
+    made_by,
+    now,
+    refuse_mixture,
+    refuse_submitted,
+)
 from relocbench.evaluation.isolation.answers import CheckedAnswer, error_answer
 from relocbench.evaluation.isolation.capabilities import construction_fault
 from relocbench.evaluation.isolation.handles import TrackerHandle
-from relocbench.evaluation.isolation.worker import (
-    LossHandler,
-    Unit,
-    Visibility,
+from relocbench.evaluation.isolation.journal import (
     answered_keys,
     append_entry,
-    is_first_call,
     journal_entries,
     open_journal,
-    query_of,
     remove_journal,
-    run_until_answered,
+    write_entry,
+)
+from relocbench.evaluation.isolation.losses import LossHandler, run_until_answered
+from relocbench.evaluation.isolation.worker import (
+    Assignment,
+    Unit,
+    is_first_call,
+    query_of,
     show_keyframe,
     time_factor,
     tracker_of,
-    units_of,
-    visibility_of,
-    write_entry,
 )
 from relocbench.evaluation.tables.answers import ANSWERS, Answer, read_answers
-from relocbench.execution import MANY_TIMES, Run, kept_workers, step
+from relocbench.execution import MANY_TIMES, kept_workers, step
 from relocbench.files import locked_folder, read_rows, write_text
 from relocbench.methods import SUBPROCESS, MethodSpec
-from relocbench.progress import Reporter
 from relocbench.tracking import Query
 
 _TRACK = "track"
@@ -54,20 +60,12 @@ def run_method(
     pair_sets: Sequence[PairSet],
     spec: MethodSpec,
     results: DatasetResults,
-    *,
-    overwrite: Overwrite = "never",
-    run: Run = Run(),
-    seed: int = 0,
-    reporter: Reporter,
+    asking: Asking,
 ) -> MethodResults:
     """Run a method on the pairs that it has not answered yet.
 
     A method that exceeds the limits or ends its process breaks on the pair in progress; one that does so in its
     constructor breaks on all pairs.
-
-    Args:
-        overwrite: ``never`` keeps all answers, ``failed`` asks again where the method failed or broke, ``always``
-            starts over.
 
     Raises:
         PredictionError: the folder holds answers of this label that were submitted, or were made with other parameters
@@ -76,13 +74,13 @@ def run_method(
         DatasetError: an image, depth or description of the dataset is bad.
     """
     folder = results.method(spec.label)
-    run = run.hiding(dataset.root, results.root)
-    visibility = visibility_of(spec, run)
-    record = new_record(dataset, spec, run, visibility, seed)
+    overwrite, reporter = asking.overwrite, asking.reporter
+    assigned = Assignment.of(dataset, spec, asking.run.hiding(dataset.root, results.root), asking.seed)
+    record = new_record(assigned)
     refuse_submitted(folder)
     if overwrite == "always":
         # A method that cannot be made, say because of a mistyped path of weights, must not cost earlier answers.
-        if has_answers(folder) and (fault := construction_fault(spec, run)):
+        if has_answers(folder) and (fault := construction_fault(spec, assigned.run)):
             reporter.note(f"{spec.label} keeps its earlier answers: {fault}")
             return folder
         clear(folder, [s.name for s in pair_sets])
@@ -103,7 +101,7 @@ def run_method(
     lost = LossHandler(_write_crash)
     with stage as advance, kept_workers():
         for pair_set in pair_sets:
-            _run_pair_set(dataset, pair_set, spec, folder, todo[pair_set.name], lost, run, visibility, seed, advance)
+            _run_pair_set(assigned, pair_set, folder, todo[pair_set.name], lost, advance)
     begun = folder.run_record()
     sandbox = record.sandbox if begun.sandbox == record.sandbox else ""
     of_all = {
@@ -118,15 +116,11 @@ def run_method(
 
 
 def _run_pair_set(
-    dataset: Dataset,
+    assigned: Assignment,
     pair_set: PairSet,
-    spec: MethodSpec,
     folder: MethodResults,
     todo: list[PairKey],
     lost: LossHandler[Unit],
-    run: Run,
-    visibility: Visibility,
-    seed: int,
     advance: Callable[[int], None],
 ) -> None:
     if not todo and folder.complete(pair_set.name):
@@ -136,12 +130,10 @@ def _run_pair_set(
 
     def open_units() -> list[Unit]:
         answered = answered_keys(journal)
-        return units_of(
-            dataset, pair_set, spec, journal, [key for key in todo if key not in answered], visibility, seed
-        )
+        return assigned.units(pair_set, journal, [key for key in todo if key not in answered])
 
     with locked_folder(journal, PredictionError):
-        run_until_answered(_run_unit, open_units, lost, run, advance)
+        run_until_answered(_run_unit, open_units, lost, assigned.run, advance)
         _collect(pair_set, folder, journal)
 
 
@@ -265,15 +257,13 @@ def _kept_entries(folder: MethodResults, pair_set: PairSet) -> Iterator[dict[str
         }
 
 
-def new_record(dataset: Dataset, spec: MethodSpec, run: Run, visibility: Visibility, seed: int) -> RunRecord:
+def new_record(assigned: Assignment) -> RunRecord:
     """The record of a run that begins now."""
-    return RunRecord(
-        dataset=dataset.name,
-        fingerprint=dataset.fingerprint,
-        question=dataset.content_id,
-        isolated=visibility.isolated,
-        sandbox=visibility.sandbox.kind,
-        uses_times=visibility.times,
-        one_core=visibility.one_core,
-        **made_by(spec, run.workers, seed),
+    return RunRecord.on(
+        assigned.dataset,
+        isolated=assigned.visibility.isolated,
+        sandbox=assigned.visibility.sandbox.kind,
+        uses_times=assigned.visibility.times,
+        one_core=assigned.visibility.one_core,
+        **made_by(assigned.spec, assigned.run.workers, assigned.seed),
     )

@@ -47,12 +47,10 @@ def run_identity(
         folder.root.mkdir(parents=True, exist_ok=True)
         write_pose_lines(folder.predictions(pair_set.name), [PoseLine(*p.key, np.eye(4)) for p in pair_set.evaluated])
         ANSWERS.write(folder.answers(pair_set.name), [Answer(*p.key, "ok") for p in pair_set.evaluated])
-    record = RunRecord(
+    record = RunRecord.on(
+        dataset,
         method=spec.label,
         target=spec.target,
-        dataset=dataset.name,
-        fingerprint=dataset.fingerprint,
-        question=dataset.content_id,
         versions=versions(),
         isolated=True,  # no method ran, and so none beside the truth
     )
@@ -153,14 +151,6 @@ def run_clock(dataset: Dataset, pair_sets: Sequence[PairSet], results: DatasetRe
         folder.root.mkdir(parents=True, exist_ok=True)
         write_pose_lines(folder.predictions(pair_set.name), lines)
         ANSWERS.write(folder.answers(pair_set.name), answers)
-    record = RunRecord(
-        method=CLOCK,
-        target=TARGET,
-        dataset=dataset.name,
-        fingerprint=dataset.fingerprint,
-        question=dataset.content_id,
-        versions=versions(),
-        uses_times=True,
-    )
+    record = RunRecord.on(dataset, method=CLOCK, target=TARGET, versions=versions(), uses_times=True)
     write_record(folder.run_yaml, record)
     return folder

@@ -15,11 +15,11 @@ from relocbench.errors import PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.folders import SetFolder
 from relocbench.evaluation.common.results import RunRecord
-from relocbench.evaluation.relocalization.answers import PIPELINE, PipelineAnswer, errors_of, read_pipeline
+from relocbench.evaluation.relocalization.answers import PIPELINE, PipelineAnswer, errors_of
+from relocbench.evaluation.relocalization.basin import Basin
 from relocbench.evaluation.relocalization.records import (
     KEYFRAME,
     ORACLE,
-    PipelineBasin,
     PipelineResults,
     PipelineRun,
     PipelineSet,
@@ -51,7 +51,7 @@ class Pipeline:
 
     label: str
     run: PipelineRun
-    basins: Mapping[str, PipelineBasin]
+    basins: Mapping[str, Basin]
     answers: Mapping[str, Sequence[PipelineAnswer]]
     """by task; tasks without results are absent"""
     rescored: frozenset[str]
@@ -135,7 +135,7 @@ class RelocalizationBoards(QueryTask[PipelineResults, PipelineSet, PipelineTask,
                 raise PredictionError(f"is not scored; {AGAIN}", path)
             if scores.answers[name] != sha256_file(path):
                 raise PredictionError(f"changed since it was scored; {AGAIN}", path)
-            answers[name] = read_pipeline(path)
+            answers[name] = PIPELINE.read(path)
             if len(answers[name]) != task.queries:
                 why = f"{len(answers[name])} rows, expected one for each of {task.queries} queries"
                 raise PredictionError(why, path)

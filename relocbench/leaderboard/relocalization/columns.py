@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from relocbench.evaluation.relocalization.basin import SAID
-from relocbench.evaluation.relocalization.records import PipelineBasin
+from relocbench.evaluation.relocalization.basin import SAID, Basin
 from relocbench.evaluation.relocalization.score import FAILURES, HIT, POSE_METRICS, RANKING, basin_recall
 from relocbench.leaderboard.common.columns import (
     Column,
@@ -118,7 +117,7 @@ def basin_words(line: PipelineLine) -> str:
     return ", ".join(sorted({SAID[b.source] for b in basins}))
 
 
-def _basin(line: PipelineLine) -> PipelineBasin | None:
+def _basin(line: PipelineLine) -> Basin | None:
     """The basin of the task that a table is of; None of a mean over several."""
     if line.row is None or len(line.table.tasks) > 1:
         return None

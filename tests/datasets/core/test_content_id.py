@@ -22,6 +22,7 @@ from relocbench.errors import PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.folders import sets_in
 from relocbench.evaluation.common.results import dataset_results
+from relocbench.evaluation.common.runs import Asking
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.retrieval.records import SetResults
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
@@ -141,7 +142,7 @@ def test_a_quaternion_and_its_negative_are_one_rotation(original: Dataset, tmp_p
 def test_predictions_of_another_copy_of_the_question_are_scored_and_say_so(original: Dataset, tmp_path: Path) -> None:
     other = changed(original, tmp_path / "there", last_digits)
     there = dataset_results(tmp_path / "theirs", other)
-    answered = run_method(other, other.pair_sets(), parse_method("identity"), there, run=Run(0), reporter=Silent())
+    answered = run_method(other, other.pair_sets(), parse_method("identity"), there, Asking(Run(0), Silent()))
     here = dataset_results(tmp_path / "ours", original)
     taken = import_predictions(original, original.pair_sets(), answered.root, "theirs", here)
     assert taken.run_record().answered_on == other.fingerprint
@@ -189,7 +190,7 @@ def test_results_that_claim_a_question_and_hold_other_pairs_are_refused(original
 def test_predictions_of_another_question_are_refused(original: Dataset, tmp_path: Path) -> None:
     other = changed(original, tmp_path / "there", lambda d: nudge_numbers(d.layout.pair_file(ACROSS), 1e-4))
     there = dataset_results(tmp_path / "theirs", other)
-    answered = run_method(other, other.pair_sets(), parse_method("identity"), there, run=Run(0), reporter=Silent())
+    answered = run_method(other, other.pair_sets(), parse_method("identity"), there, Asking(Run(0), Silent()))
     with refused(PredictionError, "run.yaml"):
         import_predictions(
             original, original.pair_sets(), answered.root, "theirs", dataset_results(tmp_path / "ours", original)

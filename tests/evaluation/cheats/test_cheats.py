@@ -24,7 +24,7 @@ from relocbench.evaluation.common.blindness import check_blind
 from relocbench.evaluation.common.results import MethodResults
 from relocbench.evaluation.isolation.framing import FramingFault, receive_answer
 from relocbench.evaluation.isolation.tracker import _answers as as_answers
-from relocbench.evaluation.isolation.worker import Visibility, units_of
+from relocbench.evaluation.isolation.worker import Assignment, Visibility
 from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_pipelines
 from relocbench.evaluation.retrieval.describe import AnonymousViews, Describer, anonymous
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
@@ -33,6 +33,7 @@ from relocbench.evaluation.tables.errors import read_errors
 from relocbench.evaluation.tables.matching import OFFSETS_PX, read_matching
 from relocbench.evaluation.tracking.check import check
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
+from relocbench.execution import Run
 from relocbench.execution.sandbox import NONE, working_sandbox
 from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec, parse_method, parse_methods
@@ -165,7 +166,8 @@ def test_the_order_is_drawn_from_the_seed_and_the_dataset(dataset: Dataset, tmp_
     keys = [pair.key for pair in pair_set.pairs]
 
     def order(seed: int, times: bool = False) -> list[tuple[int, int]]:
-        units = units_of(dataset, pair_set, parse_method("identity"), tmp_path, keys, Visibility(times=times), seed)
+        assigned = Assignment(dataset, parse_method("identity"), Run(), Visibility(times=times), seed)
+        units = assigned.units(pair_set, tmp_path, keys)
         return [key for unit in units for key in unit.keys]
 
     assert order(0) == order(0) != order(1)
@@ -427,7 +429,8 @@ def test_whoever_remembers_images_fails_as_many_pairs_of_one_place(tmp_path: Pat
     for seed in range(400):
         keyframes: set[int] = set()
         queries: set[int] = set()
-        units = units_of(apart, pair_set, MethodSpec("m", "identity"), tmp_path, keys, Visibility(), seed)
+        assigned = Assignment(apart, MethodSpec("m", "identity"), Run(), Visibility(), seed)
+        units = assigned.units(pair_set, tmp_path, keys)
         for ref, query in (key for unit in units for key in unit.keys):
             if ref in keyframes and query in queries and {ref, query} <= exchanged:
                 called[pair_set.by_key[ref, query].is_negative] += 1

@@ -15,20 +15,10 @@ from typing import Any, Literal
 import pytest
 
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.evaluation.isolation import worker
-from relocbench.evaluation.isolation.worker import (
-    CONSTRUCTOR,
-    HOPELESS,
-    PREPARE,
-    TRIES,
-    LossHandler,
-    Unit,
-    Visibility,
-    answered_keys,
-    append_entry,
-    journal_entries,
-    run_until_answered,
-)
+from relocbench.evaluation.isolation import losses as handling
+from relocbench.evaluation.isolation.journal import answered_keys, append_entry, journal_entries
+from relocbench.evaluation.isolation.losses import HOPELESS, TRIES, LossHandler, run_until_answered
+from relocbench.evaluation.isolation.worker import CONSTRUCTOR, PREPARE, Unit, Visibility
 from relocbench.execution import IN_A_ROW, Loss, Run, Step
 from relocbench.methods import parse_method
 
@@ -106,7 +96,7 @@ def played_workers(monkeypatch: pytest.MonkeyPatch) -> None:
                 done = on_loss(unit, lost.loss)
             yield index, done
 
-    monkeypatch.setattr(worker, "run_limited", run_here)
+    monkeypatch.setattr(handling, "run_limited", run_here)
 
 
 @pytest.mark.parametrize(("kind", "tries"), [("death", TRIES), ("memory", TRIES), ("time", 1)])

@@ -14,7 +14,7 @@ from small_dataset import ACROSS, CAMERA, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import ConfigError, PredictionError
-from relocbench.evaluation.relocalization.answers import OUTCOMES, PipelineAnswer, read_pipeline, write_pipeline
+from relocbench.evaluation.relocalization.answers import OUTCOMES, PIPELINE, PipelineAnswer
 from relocbench.evaluation.relocalization.evaluate import (
     RelocalizationOptions,
     RelocalizationReport,
@@ -46,7 +46,7 @@ def run(dataset: Dataset, out: Path, retriever: Any, *trackers: str, **options: 
 
 
 def rows(report: RelocalizationReport, tracker: str, retriever: str | None = None) -> list[PipelineAnswer]:
-    return read_pipeline(folder(report, tracker, retriever).answers(ACROSS))
+    return PIPELINE.read(folder(report, tracker, retriever).answers(ACROSS))
 
 
 def folder(report: RelocalizationReport, tracker: str, retriever: str | None = None) -> PipelineResults:
@@ -181,7 +181,7 @@ def test_an_answer_that_cannot_be_judged_is_wrong(tmp_path: Path) -> None:
     made = make_small_dataset(tmp_path / "d", frames=4, size=(32, 24))
     writable = made.layout.traversal("summer").poses
     writable.write_text(writable.read_text().splitlines(keepends=True)[0])
-    from relocbench.evaluation.relocalization.basin import Basin
+    from relocbench.evaluation.relocalization.basin import basin
     from relocbench.evaluation.relocalization.pipeline import Retrieved, Tracked, pipeline_answers
     from relocbench.evaluation.relocalization.truth import MapTruth
     from relocbench.evaluation.tables.answers import Answer
@@ -194,7 +194,7 @@ def test_an_answer_that_cannot_be_judged_is_wrong(tmp_path: Path) -> None:
     off[0, 3] = 1.0  # far from any threshold: the identity is 0.25 m wrong to the last digit
     tracked = Tracked({key: Answer(*key, "ok") for key in keys}, dict.fromkeys(keys, off))
     found = [Retrieved([3]), Retrieved([0]), Retrieved([0, 2]), Retrieved([])]
-    got, _ = pipeline_answers(truth, found, tracked, 2, Basin(9.0, 9.0, "given"))
+    got, _ = pipeline_answers(truth, found, tracked, 2, basin((9.0, 9.0), "given"))
     assert [r.outcome for r in got] == ["unreachable", "tracking", "unreachable", "retrieval"]
     assert [np.isinf(r.translation_error_m) for r in got] == [True, False, True, True]
 
@@ -277,8 +277,8 @@ def test_tables_are_read_as_they_were_written_and_bad_ones_are_named(tmp_path: P
         PipelineAnswer(5, "failed", "retrieval", message="nothing"),
         PipelineAnswer(6, "ok", "right", 1, 2, 1, 2, 3, 0.5, 0.25, 0.125, -1.5, 0.001),
     ]
-    write_pipeline(path, answers)
-    assert read_pipeline(path) == answers
+    PIPELINE.write(path, answers)
+    assert PIPELINE.read(path) == answers
     good = path.read_text()
     for old, new, names in (
         ("6,ok", "5,ok", ()),
@@ -291,4 +291,4 @@ def test_tables_are_read_as_they_were_written_and_bad_ones_are_named(tmp_path: P
     ):
         path.write_text(good.replace(old, new, 1))
         with refused(PredictionError, path.name, None, *names):
-            read_pipeline(path)
+            PIPELINE.read(path)

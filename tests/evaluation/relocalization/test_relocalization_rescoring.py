@@ -20,7 +20,7 @@ from small_dataset import ACROSS, make_small_dataset
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
-from relocbench.evaluation.relocalization.answers import PipelineAnswer, read_pipeline, write_pipeline
+from relocbench.evaluation.relocalization.answers import PIPELINE, PipelineAnswer
 from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_pipelines
 from relocbench.evaluation.relocalization.records import PipelineResults
 from relocbench.files import sha256_file
@@ -71,7 +71,7 @@ def forge(results: Path, change: Callable[[PipelineAnswer], PipelineAnswer]) -> 
     """Change the rows of a pipeline, and make the digest fit again."""
     folder = pipeline(results)
     path = folder.answers(ACROSS)
-    write_pipeline(path, [change(row) for row in read_pipeline(path)])
+    PIPELINE.write(path, [change(row) for row in PIPELINE.read(path)])
     change_yaml(folder.scores_yaml, lambda scores: scores["answers"].update({ACROSS: sha256_file(path)}))
     return path
 

@@ -18,7 +18,7 @@ from small_views import make_small_views
 from relocbench.arrays import Image
 from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import DatasetError, MethodError, PredictionError
-from relocbench.evaluation.retrieval.answers import read_answers, read_lists
+from relocbench.evaluation.retrieval.answers import ANSWERS, read_lists
 from relocbench.evaluation.retrieval.check import check_retriever
 from relocbench.evaluation.retrieval.describe import BATCH
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, RetrievalReport, evaluate_retrievers
@@ -112,8 +112,8 @@ def test_scores_do_not_depend_on_how_many_lines_are_kept(views: Path, tmp_path: 
     few, all_of_them = (run(views, tmp_path / str(k), f"t={HERE}:Thumbnail", keep=k) for k in (1, 1000))
     for task in (D2S, S2D):
         tables = [r.folders[0].answers(task) for r in (few, all_of_them)]
-        assert [a.ranks for a in read_answers(tables[0])] == [a.ranks for a in read_answers(tables[1])]
-        assert len(few.folders[0].predictions(task).read_text().splitlines()) == len(read_answers(tables[0]))
+        assert [a.ranks for a in ANSWERS.read(tables[0])] == [a.ranks for a in ANSWERS.read(tables[1])]
+        assert len(few.folders[0].predictions(task).read_text().splitlines()) == len(ANSWERS.read(tables[0]))
 
 
 def test_scoring_ones_own_complete_lists_gives_the_same_ranks(views: Path, tmp_path: Path) -> None:
@@ -125,7 +125,7 @@ def test_scoring_ones_own_complete_lists_gives_the_same_ranks(views: Path, tmp_p
     again = run(views, tmp_path / "b", predictions=theirs)
     assert again.folders[0].label == "theirs"
     for task in (D2S, S2D):
-        for a, b in zip(*(read_answers(r.folders[0].answers(task)) for r in (mine, again)), strict=True):
+        for a, b in zip(*(ANSWERS.read(r.folders[0].answers(task)) for r in (mine, again)), strict=True):
             assert (a.query, a.group, a.status, a.positives, a.ranks) == (
                 b.query,
                 b.group,
@@ -167,7 +167,7 @@ def test_an_image_that_breaks_costs_itself_alone(views: Path, tmp_path: Path) ->
         set=(f"raises={digest(broken, opened.fingerprint)}", f"blind={digest(blind, opened.fingerprint)}"),
         pair_sets=(D2S,),
     )
-    answers = {a.query: a for a in read_answers(report.folders[0].answers(D2S))}
+    answers = {a.query: a for a in ANSWERS.read(report.folders[0].answers(D2S))}
     assert (answers[broken].status, answers[broken].message) == ("error", "ZeroDivisionError: on purpose")
     assert (answers[blind].status, answers[blind].ranks) == ("failed", ())
     assert sum(a.status == "ok" for a in answers.values()) == len(queries) - 2
@@ -181,7 +181,7 @@ def test_an_image_that_breaks_costs_itself_alone(views: Path, tmp_path: Path) ->
 def test_a_method_that_always_breaks_has_failed_on_every_query(views: Path, tmp_path: Path) -> None:
     report = run(views, tmp_path, f"p={HERE}:Picky", set=("always=true",))
     for task in (D2S, S2D):
-        assert {a.status for a in read_answers(report.folders[0].answers(task))} == {"error"}
+        assert {a.status for a in ANSWERS.read(report.folders[0].answers(task))} == {"error"}
         assert report.scores(report.folders[0])[task]["R@1"] == 0.0
     assert "on purpose" in report.crashed[0][1]
     assert "0 of 16 queries and 0 of 9 gallery images were described" in report.suspicions[0][1]
@@ -222,7 +222,7 @@ def test_reranking_orders_the_first_and_leaves_the_rest(views: Path, tmp_path: P
     task = next(t for t in plain.asked.chosen if t.name == S2D)
     keys = [{v.key: i for i, v in enumerate(side)} for side in (task.queries, task.gallery)]
     before, after = (read_lists(r.folders[0].predictions(S2D), *keys) for r in (plain, turned))
-    ranks = {a.query: a.ranks for a in read_answers(turned.folders[0].answers(S2D))}
+    ranks = {a.query: a.ranks for a in ANSWERS.read(turned.folders[0].answers(S2D))}
     for q, key in enumerate(keys[0]):
         assert after[key] == before[key][2::-1] + before[key][3:]
         positives = set(task.relevance.of(q).tolist())
@@ -235,7 +235,7 @@ def test_reranking_orders_the_first_and_leaves_the_rest(views: Path, tmp_path: P
 @pytest.mark.parametrize(("fault", "words"), [("raise", "rerank"), ("nan", "not finite")])
 def test_a_fault_in_reranking_is_the_querys_failure(views: Path, tmp_path: Path, fault: str, words: str) -> None:
     report = run(views, tmp_path, f"r={HERE}:Reversing", set=(f"fault={fault}",), pair_sets=(S2D,))
-    answers = read_answers(report.folders[0].answers(S2D))
+    answers = ANSWERS.read(report.folders[0].answers(S2D))
     assert {a.status for a in answers} == {"error"}
     assert all(words in a.message and a.ranks == () for a in answers)
 
@@ -516,7 +516,7 @@ def test_wrong_shapes_are_the_methods_error(tmp_path: Path) -> None:
 def test_answers_keep_their_order_and_their_digits(views: Path, tmp_path: Path) -> None:
     report = run(views, tmp_path, f"t={HERE}:Thumbnail")
     path = report.folders[0].answers(D2S)
-    rows = read_answers(path)
+    rows = ANSWERS.read(path)
     assert [r.query for r in rows] == [q.key for q in report.asked.chosen[0].queries]
     assert [r.group for r in rows][:4] == ["0000", "0000", "0001", "0001"]
     text = path.read_text()
@@ -528,7 +528,7 @@ def test_answers_keep_their_order_and_their_digits(views: Path, tmp_path: Path) 
     ):
         path.write_text(text.replace(old, new, 1))
         with refused(PredictionError, path.name, line, *names):
-            read_answers(path)
+            ANSWERS.read(path)
 
 
 def test_rank_task_hears_of_each_block() -> None:

@@ -21,7 +21,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import DatasetError, PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.folders import sets_in
-from relocbench.evaluation.retrieval.answers import QueryAnswer, read_answers, write_answers
+from relocbench.evaluation.retrieval.answers import ANSWERS, QueryAnswer
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
 from relocbench.evaluation.retrieval.records import (
@@ -82,7 +82,7 @@ def reseal(folder: RetrieverResults) -> None:
     def digests(scores: dict[str, Any]) -> None:
         scores["run"] = sha256_file(folder.run_yaml)
         for name in scores["answers"]:
-            means = summary(tasks[name], read_answers(folder.answers(name)))
+            means = summary(tasks[name], ANSWERS.read(folder.answers(name)))
             scores["tasks"][name].update({metric: means[metric] for metric in METRICS})
             scores["answers"][name] = sha256_file(folder.answers(name))
             scores["lists"][name] = sha256_file(folder.predictions(name))
@@ -93,7 +93,7 @@ def reseal(folder: RetrieverResults) -> None:
 def forge(folder: RetrieverResults, task: str, change: Callable[[QueryAnswer], QueryAnswer]) -> Path:
     """Change the rows of a task, and make the digests fit again."""
     path = folder.answers(task)
-    write_answers(path, [change(row) for row in read_answers(path)])
+    ANSWERS.write(path, [change(row) for row in ANSWERS.read(path)])
     reseal(folder)
     return path
 
@@ -147,7 +147,7 @@ def test_what_is_believed_bounds_what_other_ranks_could_give(results: Path, town
 
 @pytest.mark.parametrize("label", ["good", "few", "ties", "fewties"])
 def test_claimed_ranks_that_do_not_follow_are_exposed_by_the_truth(results: Path, town: Path, label: str) -> None:
-    worst = max(read_answers(only_set(results).method(label).answers(D2S)), key=lambda a: a.ranks[0])
+    worst = max(ANSWERS.read(only_set(results).method(label).answers(D2S)), key=lambda a: a.ranks[0])
     assert worst.ranks[0] > 1
     folder = only_set(results).method(label)
     path = forge(folder, D2S, lambda a: replace(a, ranks=(1,)) if a.query == worst.query else a)
@@ -171,14 +171,14 @@ def test_other_forged_cells_are_exposed(
         change_yaml(only_set(results).root / SET_FILE, lambda r: r["tasks"][D2S].update(most_positives=2))
         assert refused_file(results, D2S, dataset=town) is not None
         return
-    first = read_answers(only_set(results).method("good").answers(D2S))[0].query
+    first = ANSWERS.read(only_set(results).method("good").answers(D2S))[0].query
     for label in ("good", "ties", "few", "fewties"):
         forge(only_set(results).method(label), D2S, lambda a: replace(a, **change) if a.query == first else a)
     assert refused_file(results, *told, dataset=town) is not None
 
 
 def test_queries_that_the_dataset_does_not_have_are_exposed(results: Path, town: Path) -> None:
-    first = read_answers(only_set(results).method("good").answers(D2S))[0].query
+    first = ANSWERS.read(only_set(results).method("good").answers(D2S))[0].query
     for label in ("good", "ties", "few", "fewties"):
         forge(only_set(results).method(label), D2S, lambda a: replace(a, query="other.png") if a.query == first else a)
     refused_file(results, "other queries", dataset=town)
@@ -244,7 +244,7 @@ def test_places_of_a_street_are_rescored(tmp_path: Path, rule: dict[str, Any]) -
     evaluate(street.root, results, f"t={HERE}:Constant", **rule)
     assert rows_of(results, tmp_path / "board", street.root)[ACROSS, "t"]["rescored"] == "yes"
     folder = only_set(results).method("t")
-    wrong = next(a for a in read_answers(folder.answers(ACROSS)) if a.ranks and a.ranks[0] > 1)
+    wrong = next(a for a in ANSWERS.read(folder.answers(ACROSS)) if a.ranks and a.ranks[0] > 1)
     forge(folder, ACROSS, lambda a: replace(a, ranks=(1, *a.ranks[1:])) if a.query == wrong.query else a)
     refused_file(results, "ranks", 1, dataset=street.root)
     change_yaml(only_set(results).root / SET_FILE, lambda r: r["options"].clear())

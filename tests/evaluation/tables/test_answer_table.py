@@ -91,7 +91,7 @@ def test_ranks_are_read_by_columns_as_they_are_by_fields(
 
     def outcome() -> object:
         try:
-            return retrieved.read_answers(path)
+            return retrieved.ANSWERS.read(path)
         except PredictionError as bad:
             return str(bad)
 

@@ -25,8 +25,8 @@ from small_views import make_small_views
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import ConfigError
-from relocbench.evaluation.isolation import worker
-from relocbench.evaluation.retrieval.answers import read_answers as retrieved
+from relocbench.evaluation.isolation import losses
+from relocbench.evaluation.retrieval.answers import ANSWERS as RETRIEVED
 from relocbench.evaluation.retrieval.describe import anonymous
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.tables.answers import Answer, read_answers
@@ -145,7 +145,7 @@ def test_a_constructor_that_does_not_return_gives_the_method_up_and_later_method
 def test_a_method_that_answers_no_batch_is_given_up(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, few_times: None, limit_s: int
 ) -> None:
-    monkeypatch.setattr(worker, "IN_A_ROW", 3)
+    monkeypatch.setattr(losses, "IN_A_ROW", 3)
     settings = ("bad.deed=hang", f"bad.mark={tmp_path / 'mark'}")
     methods = (f"bad={HERE}:AlwaysInBatches", "identity")
     report = evaluate(dataset, tmp_path / "out", *methods, settings=settings, time_limit=limit_s)
@@ -219,7 +219,7 @@ def test_an_image_on_which_a_retriever_ends_its_process_costs_itself_alone(
         **({"time_limit": request.getfixturevalue("limit_s")} if deed == "hang_in_native_code" else {}),
     )
     report = evaluate_retrievers(options, Silent())
-    bad, good = (retrieved(folder.answers("drone-satellite")) for folder in report.folders)
+    bad, good = (RETRIEVED.read(folder.answers("drone-satellite")) for folder in report.folders)
     told = {a.query: a.message for a in bad if a.status == "error"}
     assert list(told) == [query]
     assert words in told[query]
@@ -272,7 +272,7 @@ def test_a_retriever_whose_constructor_ends_the_process_is_given_up_and_later_on
     report = evaluate_retrievers(
         RetrievalOptions(dataset=views, out=tmp_path / "out", methods=methods, set=settings), Silent()
     )
-    bad, good = (retrieved(folder.answers("drone-satellite")) for folder in report.folders)
+    bad, good = (RETRIEVED.read(folder.answers("drone-satellite")) for folder in report.folders)
     assert len({a.message for a in bad}) == 1
     assert bad[0].message.startswith("constructor: ")
     assert "exit status 3" in bad[0].message

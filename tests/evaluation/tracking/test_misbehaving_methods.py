@@ -24,7 +24,7 @@ from relocbench.evaluation.isolation.guard import batch_of, guarded, neighbours_
 from relocbench.evaluation.isolation.handles import LocalTracker
 from relocbench.evaluation.isolation.info_text import INFO_CHARACTERS
 from relocbench.evaluation.relocalization.basin import read_basins
-from relocbench.evaluation.retrieval.answers import read_answers as read_retrieved
+from relocbench.evaluation.retrieval.answers import ANSWERS as RETRIEVED
 from relocbench.evaluation.retrieval.describe import Describer
 from relocbench.evaluation.retrieval.ranking import rank_task
 from relocbench.evaluation.retrieval.run import RetrieverSession
@@ -325,7 +325,7 @@ def test_descriptors_that_overflow_retrieve_nothing_or_something_but_end_nothing
 
 READERS: dict[str, tuple[Callable[[Path], object], str, int]] = {
     "answers": (read_answers, "ref_timestamp_ns,query_timestamp_ns,status,seconds,confidence,message,info", 7),
-    "retrieved": (read_retrieved, "query,group,status,positives,ranks,seconds,message", 7),
+    "retrieved": (RETRIEVED.read, "query,group,status,positives,ranks,seconds,message", 7),
     "matching": (read_matching, ",".join(MATCHING.columns), len(MATCHING.columns)),
     "basin": (read_basins, "method,what,conditions,radius", 4),
 }

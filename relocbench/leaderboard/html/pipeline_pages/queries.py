@@ -13,17 +13,16 @@ from relocbench.arrays import Array
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.pairs.street_places import street_view
 from relocbench.evaluation.relocalization.answers import OUTCOMES, PipelineAnswer
-from relocbench.evaluation.relocalization.pipeline import RIGHT, Retrieved, Tracked
-from relocbench.evaluation.relocalization.records import PipelineBasin
+from relocbench.evaluation.relocalization.basin import Basin
+from relocbench.evaluation.relocalization.pipeline import RIGHT, Retrieved, Tracked, errors_where_known
 from relocbench.evaluation.relocalization.rescoring import PipelineTruth
 from relocbench.evaluation.relocalization.truth import MapTruth, distance_and_angle, inside
-from relocbench.evaluation.retrieval.answers import read_answers
+from relocbench.evaluation.retrieval.answers import ANSWERS
 from relocbench.evaluation.retrieval.records import RetrieverResults
 from relocbench.evaluation.tables.schema import STATUSES
 from relocbench.leaderboard.html.data import bytes_of, floats, integers
 from relocbench.leaderboard.html.thumbnails import thumbnail_name
 from relocbench.leaderboard.relocalization.board import Pipeline, PipelineSetBoard
-from relocbench.metrics import pose_errors
 from relocbench.retrieval import ImageView
 
 _NONE = -1
@@ -36,7 +35,7 @@ class _Halves:
 
     found: Sequence[Retrieved]
     tracked: Tracked
-    basin: PipelineBasin
+    basin: Basin
     top: int
 
     def keyframes(self, query: int) -> list[int]:
@@ -140,10 +139,8 @@ def _tried(
         return []
     time = truth.query_times[query]
     keys = [(truth.keyframe_times[k], time) for k in keyframes]
-    near = inside(metres[keyframes], degrees[keyframes], (halves.basin.metres, halves.basin.degrees))
-    poses = np.array([halves.tracked.poses.get(key, np.full((4, 4), np.nan)) for key in keys])
-    known = np.asarray(np.isfinite(T_query_ref[keyframes]).all(axis=(1, 2)))
-    errors = pose_errors(poses, np.where(known[:, None, None], T_query_ref[keyframes], np.eye(4)), answered=known)
+    near = inside(metres[keyframes], degrees[keyframes], halves.basin.limits)
+    errors = errors_where_known([halves.tracked.poses.get(key) for key in keys], T_query_ref[keyframes])
     out = []
     for row, (index, key) in enumerate(zip(keyframes, keys, strict=True)):
         answer = halves.tracked.answers[key]
@@ -209,7 +206,7 @@ def retrieval_seconds(pipeline: Pipeline, task: str) -> Array | None:
     now = results.run_record()
     if (now.target, now.parameters, now.files, now.seed) != (ran.target, ran.parameters, ran.files, ran.seed):
         return None
-    seconds = {Path(answer.query).stem: answer.seconds for answer in read_answers(results.answers(task))}
+    seconds = {Path(answer.query).stem: answer.seconds for answer in ANSWERS.read(results.answers(task))}
     out = np.full(len(pipeline.answers[task]), np.nan)
     for row, answer in enumerate(pipeline.answers[task]):
         known = seconds.get(str(answer.query_timestamp_ns))
