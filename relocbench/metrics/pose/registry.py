@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -14,14 +12,19 @@ from relocbench.arrays import Array, Mask
 from relocbench.errors import ConfigError
 from relocbench.metrics.pose.confidence import CONFIDENT, is_confident, precision_recall, risk_coverage_area
 from relocbench.metrics.pose.curves import area_shares
-from relocbench.metrics.pose.errors import PoseErrors
+from relocbench.metrics.pose.kinds import (
+    WITHIN_CORRECT,
+    mean_over_pairs,
+    of_confidence,
+    of_correct,
+    of_drives,
+    of_vcre,
+    recall_where,
+)
 from relocbench.metrics.pose.metric import Metric, Place
-from relocbench.metrics.pose.scores import CORRECT, PairScores, within
+from relocbench.metrics.pose.scores import PairScores, within
 from relocbench.metrics.pose.sequences import Drive, LostStretches, right_runs
 from relocbench.metrics.pose.tiers import LOOKS, TIERS
-
-_Judged = tuple[Mask, Mask, Array]
-"""(N,) whether each pair is correct, whether it is answered, and how confidently"""
 
 MLAD_THRESHOLDS_M: tuple[float, ...] = (0.1, 0.2, 0.5)
 PRECISIONS_PERCENT: tuple[int, ...] = (95, 99)
@@ -46,27 +49,8 @@ def metric_named(name: str) -> Metric:
     raise ConfigError(f"unknown metric '{name}'; expected one of {', '.join(m.name for m in METRICS)}")
 
 
-def _mean_metric(
-    name: str,
-    description: str,
-    per_pair: Callable[[PoseErrors], Array],
-    metres: float | None = None,
-    degrees: float | None = None,
-) -> Metric:
-    return Metric(
-        name=name,
-        unit="share",
-        higher_is_better=True,
-        description=description,
-        compute=lambda scores: float(np.mean(per_pair(scores.errors))),
-        per_pair=per_pair,
-        translation_threshold_m=metres,
-        rotation_threshold_deg=degrees,
-    )
-
-
 def _recall(metres: float, degrees: float) -> Metric:
-    return _mean_metric(
+    return mean_over_pairs(
         f"recall@({metres:g}m,{degrees:g}deg)",
         f"share of all pairs with translation_error_m <= {metres:g} and rotation_error_deg <= {degrees:g}",
         lambda errors: within(errors, metres, degrees).astype(np.float64),
@@ -76,7 +60,7 @@ def _recall(metres: float, degrees: float) -> Metric:
 
 
 def _mlad_recall(metres: float) -> Metric:
-    return _mean_metric(
+    return mean_over_pairs(
         f"mlad_recall@{metres:g}m",
         f"share of all pairs with mlad_translation_error_m <= {metres:g}",
         lambda errors: (errors.mlad_translation_error_m <= metres).astype(np.float64),
@@ -85,7 +69,7 @@ def _mlad_recall(metres: float) -> Metric:
 
 
 def _translation_auc(metres: float) -> Metric:
-    return _mean_metric(
+    return mean_over_pairs(
         f"t_auc@{metres:g}m",
         f"area under the cumulative curve of translation_error_m: 1/N sum max(0, 1 - e / {metres:g} m)",
         lambda errors: area_shares(errors.translation_error_m, metres),
@@ -94,7 +78,7 @@ def _translation_auc(metres: float) -> Metric:
 
 
 def _rotation_auc(degrees: float) -> Metric:
-    return _mean_metric(
+    return mean_over_pairs(
         f"r_auc@{degrees:g}deg",
         f"area under the cumulative curve of rotation_error_deg: 1/N sum max(0, 1 - e / {degrees:g} deg)",
         lambda errors: area_shares(errors.rotation_error_deg, degrees),
@@ -103,7 +87,7 @@ def _rotation_auc(degrees: float) -> Metric:
 
 
 def _pose_auc(metres: float, degrees: float) -> Metric:
-    return _mean_metric(
+    return mean_over_pairs(
         f"pose_auc@({metres:g}m,{degrees:g}deg)",
         "area under the cumulative curve of the joint error: "
         f"1/N sum max(0, 1 - max(translation_error_m / {metres:g} m, rotation_error_deg / {degrees:g} deg))",
@@ -142,55 +126,26 @@ def _peak_memory() -> Metric:
     return Metric("peak_memory_bytes", "bytes", False, description, compute)
 
 
-def _confidence_area(metres: float, degrees: float) -> Metric:
+def _confidence_area() -> Metric:
     def compute(scores: PairScores) -> float | None:
         answered = scores.errors.answered
         if scores.confidence is None or not np.any(answered & ~np.isnan(scores.confidence)):
             return None
-        correct = within(scores.errors, metres, degrees)
-        return precision_recall(correct, answered, scores.confidence).area
+        return precision_recall(scores.correct, answered, scores.confidence).area
 
-    return Metric(
-        name=f"confidence_auc_pr@({metres:g}m,{degrees:g}deg)",
-        unit="share",
-        higher_is_better=True,
-        description="area under precision against recall as the threshold on the confidence falls; correct is "
-        f"translation_error_m <= {metres:g} and rotation_error_deg <= {degrees:g}; recall is over all pairs",
-        compute=compute,
-        translation_threshold_m=metres,
-        rotation_threshold_deg=degrees,
+    description = (
+        f"area under precision against recall as the threshold on the confidence falls; correct is {WITHIN_CORRECT}; "
+        "recall is over all pairs"
     )
-
-
-def _of_confidence(
-    name: str, higher_is_better: bool, description: str, value: Callable[[_Judged], float | None]
-) -> Metric:
-    """A metric of how confidences fit what is correct; without any confidence all answers count as equally sure."""
-    metres, degrees = CORRECT
-
-    def compute(scores: PairScores) -> float | None:
-        correct = within(scores.errors, metres, degrees)
-        return value((correct, scores.errors.answered, scores.column("confidence")))
-
-    return Metric(
-        name=f"{name}@({metres:g}m,{degrees:g}deg)",
-        unit="share",
-        higher_is_better=higher_is_better,
-        description=f"{description}; correct is translation_error_m <= {metres:g} and rotation_error_deg <= "
-        f"{degrees:g}",
-        compute=compute,
-        translation_threshold_m=metres,
-        rotation_threshold_deg=degrees,
-    )
+    return of_correct("confidence_auc_pr", "share", True, description, compute)
 
 
 def _wrong_of_answered() -> Metric:
-    def value(judged: _Judged) -> float | None:
-        correct, answered, _ = judged
+    def value(correct: Mask, answered: Mask, confidence: Array) -> float | None:
         return float(1.0 - np.mean(correct[answered])) if np.any(answered) else None
 
     description = "share of the answers that are not correct; nothing where there is no answer"
-    return _of_confidence("wrong_of_answered", False, description, value)
+    return of_confidence("wrong_of_answered", False, description, value)
 
 
 def _risk_coverage_area() -> Metric:
@@ -198,25 +153,22 @@ def _risk_coverage_area() -> Metric:
         "area under the risk-coverage curve, 1/N sum over k of the share of wrong ones among the k most confident "
         "pairs; pairs without an answer come last and are wrong"
     )
-    return _of_confidence("aurc", False, description, lambda judged: risk_coverage_area(*judged))
+    return of_confidence("aurc", False, description, risk_coverage_area)
 
 
 def _coverage_at(percent: int) -> Metric:
+    def value(correct: Mask, answered: Mask, confidence: Array) -> float:
+        return precision_recall(correct, answered, confidence).coverage_at(percent / 100)
+
     description = (
         f"largest share of all pairs that a threshold on the confidence keeps with at least {percent} % of them "
         "correct; 0 where there is no such threshold"
     )
-    return _of_confidence(
-        f"coverage_at_precision_{percent}",
-        True,
-        description,
-        lambda judged: precision_recall(*judged).coverage_at(percent / 100),
-    )
+    return of_confidence(f"coverage_at_precision_{percent}", True, description, value)
 
 
 def _precision_of_confident() -> Metric:
-    def value(judged: _Judged) -> float | None:
-        correct, answered, confidence = judged
+    def value(correct: Mask, answered: Mask, confidence: Array) -> float | None:
         confident = answered & is_confident(confidence)
         return float(np.mean(correct[confident])) if np.any(confident) else None
 
@@ -224,7 +176,7 @@ def _precision_of_confident() -> Metric:
         f"share of correct ones among the answers with a confidence of {CONFIDENT:g} or more, which means "
         "something where confidences are probabilities; nothing where there is no such answer"
     )
-    return _of_confidence(f"precision_at_confidence_{100 * CONFIDENT:g}", True, description, value)
+    return of_confidence(f"precision_at_confidence_{100 * CONFIDENT:g}", True, description, value)
 
 
 def _coverage_of_confident() -> Metric:
@@ -242,18 +194,8 @@ def _coverage_of_confident() -> Metric:
     )
 
 
-def _of_vcre(name: str, description: str, value: Callable[[Array, PairScores], float], **options: Any) -> Metric:
-    """A metric of the reprojection errors (N,); None where one of them is not known."""
-
-    def compute(scores: PairScores) -> float | None:
-        vcre = scores.column("vcre")
-        return None if np.isnan(vcre).any() else value(vcre, scores)
-
-    return Metric(name=name, unit="share", description=description, compute=compute, **options)
-
-
 def _vcre_precision() -> Metric:
-    return _of_vcre(
+    return of_vcre(
         f"vcre_precision@{VCRE_THRESHOLD:.0%}",
         "share of all pairs whose virtual correspondence reprojection error is below "
         f"{VCRE_THRESHOLD:.0%} of the image's diagonal",
@@ -271,85 +213,38 @@ def _vcre_auc() -> Metric:
         "area under precision against coverage as the threshold on the confidence falls; correct is a virtual "
         f"correspondence reprojection error below {VCRE_THRESHOLD:.0%} of the diagonal"
     )
-    return _of_vcre(f"vcre_auc@{VCRE_THRESHOLD:.0%}", description, value, higher_is_better=True)
+    return of_vcre(f"vcre_auc@{VCRE_THRESHOLD:.0%}", description, value, higher_is_better=True)
 
 
 def _median_vcre() -> Metric:
     description = (
         "median over all pairs of the virtual correspondence reprojection error, as a share of the image's diagonal"
     )
-    return _of_vcre("median_vcre", description, lambda vcre, _: float(np.median(vcre)), higher_is_better=False)
-
-
-def _recall_where(name: str, words: str, inside: Callable[[PairScores], Mask]) -> Metric:
-    """The recall over some of the pairs; one for which it is not known whether it belongs to them does not."""
-    metres, degrees = CORRECT
-
-    def compute(scores: PairScores) -> float | None:
-        rows = inside(scores)
-        return float(np.mean(within(scores.errors, metres, degrees)[rows])) if rows.any() else None
-
-    return Metric(
-        f"recall_{name}@({metres:g}m,{degrees:g}deg)",
-        "share",
-        True,
-        f"share of the pairs {words} with translation_error_m <= {metres:g} and rotation_error_deg <= {degrees:g}; "
-        "nothing without such a pair",
-        compute,
-        over=lambda scores: int(np.count_nonzero(inside(scores))),
-        translation_threshold_m=metres,
-        rotation_threshold_deg=degrees,
-    )
+    return of_vcre("median_vcre", description, lambda vcre, _: float(np.median(vcre)), higher_is_better=False)
 
 
 def _ends(low: float, high: float) -> str:
     return f"to_{high:g}" if low == -math.inf else f"over_{low:g}" if high == math.inf else f"{low:g}_to_{high:g}"
 
 
-def _recall_by_overlap(low: float, high: float) -> Metric:
+def _recall_between(name: str, words: str, column: str, low: float, high: float, *, includes_low: bool) -> Metric:
+    """The recall over the pairs with a value in a range, which includes one of its ends."""
+
     def inside(scores: PairScores) -> Mask:
-        overlap = scores.column("overlap")
-        return (low <= overlap) & (overlap < high)
+        x = scores.column(column)
+        return (low <= x) & (x < high) if includes_low else (low < x) & (x <= high)
 
-    parts = (f"overlap >= {low:g}" if low > 0 else "", f"overlap < {high:g}" if high < 1 else "")
-    return _recall_where(f"overlap_{_ends(low, high)}", f"with {' and '.join(filter(None, parts))}", inside)
-
-
-def _recall_by_scale(low: float, high: float) -> Metric:
-    def inside(scores: PairScores) -> Mask:
-        change = scores.column("scale_change")
-        return (low < change) & (change <= high)
-
-    parts = (f"change of scale > {low:g}" if low > 1 else "", f"change of scale <= {high:g}" if high < math.inf else "")
-    return _recall_where(f"scale_{_ends(low, high)}", f"with {' and '.join(filter(None, parts))}", inside)
+    signs = (">=", "<") if includes_low else (">", "<=")
+    ends = [f"{words} {sign} {end:g}" for sign, end in zip(signs, (low, high), strict=True) if math.isfinite(end)]
+    return recall_where(f"{name}_{_ends(low, high)}", f"with {' and '.join(ends)}", inside)
 
 
 def _recall_of_tier(tier: str) -> Metric:
-    return _recall_where(tier, f"of the tier {tier}", lambda scores: scores.tiers == TIERS.index(tier))
+    return recall_where(tier, f"of the tier {tier}", lambda scores: scores.tiers == TIERS.index(tier))
 
 
 def _recall_of_look(look: str) -> Metric:
-    return _recall_where(f"look_{look}", f"whose images look {look}", lambda scores: scores.looks == LOOKS.index(look))
-
-
-def _of_drives(
-    name: str, unit: str, higher_is_better: bool, description: str, value: Callable[[list[Drive]], float | None]
-) -> Metric:
-    """A metric of what is right along the drives of the queries; None where their times are not given."""
-    metres, degrees = CORRECT
-
-    def compute(scores: PairScores) -> float | None:
-        return None if scores.drives is None else value(scores.drives)
-
-    return Metric(
-        f"{name}@({metres:g}m,{degrees:g}deg)",
-        unit,
-        higher_is_better,
-        f"{description}; right is translation_error_m <= {metres:g} and rotation_error_deg <= {degrees:g}",
-        compute,
-        translation_threshold_m=metres,
-        rotation_threshold_deg=degrees,
-    )
+    return recall_where(f"look_{look}", f"whose images look {look}", lambda scores: scores.looks == LOOKS.index(look))
 
 
 def _longest_lost(unit: str, column: str, words: str) -> Metric:
@@ -358,7 +253,7 @@ def _longest_lost(unit: str, column: str, words: str) -> Metric:
         return None if np.isnan(longest) else longest
 
     description = f"the most {words} of a stretch of consecutive queries of a drive that are all wrong"
-    return _of_drives(f"longest_lost_{column}", unit, False, description, value)
+    return of_drives(f"longest_lost_{column}", unit, False, description, value)
 
 
 def _lost_queries(least: int) -> Metric:
@@ -366,15 +261,18 @@ def _lost_queries(least: int) -> Metric:
         return LostStretches.of(drives).queries_in(least) / sum(len(drive.right) for drive in drives)
 
     description = f"share of the queries on stretches of at least {least} consecutive wrong ones"
-    return _of_drives(f"lost_for_{least}", "share", False, description, value)
+    return of_drives(f"lost_for_{least}", "share", False, description, value)
 
 
 def _lost_stretches(least: int) -> Metric:
-    def value(drives: list[Drive]) -> float | None:
-        return LostStretches.of(drives).share_of_stretches(least)
-
     description = f"share of the stretches of consecutive wrong queries that have at least {least}; nothing without any"
-    return _of_drives(f"lost_stretches_of_{least}", "share", False, description, value)
+    return of_drives(
+        f"lost_stretches_of_{least}",
+        "share",
+        False,
+        description,
+        lambda drives: LostStretches.of(drives).share_of_stretches(least),
+    )
 
 
 def _run_recall(length: int) -> Metric:
@@ -383,7 +281,7 @@ def _run_recall(length: int) -> Metric:
         return float(np.mean(right)) if right.size else None
 
     description = f"share of the runs of {length} consecutive queries of a drive of which more than half are right"
-    return _of_drives(f"run_recall_{length}", "share", True, description, value)
+    return of_drives(f"run_recall_{length}", "share", True, description, value)
 
 
 def _shown(metric: Metric, *places: Place, with_interval: bool = False) -> Metric:
@@ -407,7 +305,7 @@ METRICS: tuple[Metric, ...] = (
     _shown(_median("rotation_error_deg", "deg"), "set page", "first page", "paper", "terminal", with_interval=True),
     _median("mlad_translation_error_m", "m"),
     _shown(
-        _mean_metric(
+        mean_over_pairs(
             "coverage", "share of all pairs with an answer", lambda errors: errors.answered.astype(np.float64)
         ),
         *("set page", "first page", "paper", "terminal", "confidence"),
@@ -421,9 +319,15 @@ METRICS: tuple[Metric, ...] = (
     *(_shown(_run_recall(length), "more") for length in RUNS),
     *(_shown(_recall_of_tier(tier), "more") for tier in TIERS),
     *(_shown(_recall_of_look(look), "more") for look in LOOKS),
-    *(_shown(_recall_by_overlap(*ends), "more") for ends in pairwise(OVERLAPS)),
-    *(_shown(_recall_by_scale(*ends), "more") for ends in pairwise(SCALE_CHANGES)),
-    _confidence_area(*CORRECT),
+    *(
+        _shown(_recall_between("overlap", "overlap", "overlap", *ends, includes_low=True), "more")
+        for ends in pairwise(OVERLAPS)
+    ),
+    *(
+        _shown(_recall_between("scale", "change of scale", "scale_change", *ends, includes_low=False), "more")
+        for ends in pairwise(SCALE_CHANGES)
+    ),
+    _confidence_area(),
     _shown(_risk_coverage_area(), "confidence"),
     _shown(_wrong_of_answered(), "confidence"),
     *(_shown(_coverage_at(percent), "confidence") for percent in PRECISIONS_PERCENT),

@@ -73,11 +73,16 @@ class PairScores:
         )
 
     @cached_property
+    def correct(self) -> Mask:
+        """(N,) whether both errors are within :data:`CORRECT`."""
+        return within(self.errors, *CORRECT)
+
+    @cached_property
     def drives(self) -> list[Drive] | None:
         """Where along each set's drive answers are right; None without times."""
         if self.query_ns is None:
             return None
-        right, travelled = within(self.errors, *CORRECT), self.column("travelled_m")
+        right, travelled = self.correct, self.column("travelled_m")
         ends = np.cumsum(self.sets or (len(self.errors),))
         return [
             Drive.of(right[end - count : end], self.query_ns[end - count : end], travelled[end - count : end])
