@@ -55,7 +55,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "answers of a tracker": read_pair_answers,
     "errors": read_errors,
     "matching": read_matching,
-    "a chain": PIPELINE,
+    "a chain": PIPELINE.read,
     "answers of a retriever": RETRIEVED.read,
     "radii": read_basins,
     "poses": read_poses,
