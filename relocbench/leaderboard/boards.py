@@ -28,9 +28,13 @@ class Boards:
     @property
     def methods(self) -> frozenset[str]:
         """The labels of all trackers and retrievers, which have a page each."""
-        trackers = [m.label for d in (self.tracking.datasets if self.tracking else ()) for m in d.entry.methods]
-        retrievers = [m.label for asked in (self.retrieval.sets if self.retrieval else ()) for m in asked.methods]
-        return frozenset({*trackers, *retrievers})
+        trackers = self.tracking.methods if self.tracking else ()
+        return frozenset({*(method.label for method in trackers), *self.retrievers})
+
+    @property
+    def retrievers(self) -> list[str]:
+        """The labels of all retrievers, sorted."""
+        return sorted({m.label for of in (self.retrieval.sets if self.retrieval else ()) for m in of.methods})
 
     @property
     def by_query(self) -> list[tuple[Display[Any, Any], Any]]:

@@ -13,6 +13,7 @@ from relocbench.metrics.pose.failure_policy import (
     answered_pairs,
     infinite_where_failed,
     mean_over_pair_sets,
+    pose_array,
 )
 from relocbench.metrics.pose.matching import matching_quality
 from relocbench.metrics.pose.metric import Metric
@@ -119,6 +120,7 @@ __all__ = [
     "metric_named",
     "paired_difference",
     "per_group",
+    "pose_array",
     "pose_errors",
     "precision_recall",
     "radius_of",

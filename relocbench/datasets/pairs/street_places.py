@@ -204,6 +204,11 @@ def image_key(traversal: Traversal, camera: str, timestamp_ns: int) -> str:
     return path.relative_to(traversal.layout.root.parent.parent).as_posix()
 
 
+def time_of_key(key: str) -> int:
+    """The timestamp of the image with that key, nanoseconds."""
+    return int(Path(key).stem)
+
+
 def street_view(traversal: Traversal, camera: str, time: int) -> ImageView:
     """An image of a drive as a retriever sees it."""
     key = image_key(traversal, camera, time)

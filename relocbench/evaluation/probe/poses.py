@@ -12,11 +12,10 @@ import numpy as np
 
 from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.evaluation.isolation.answers import error_answer
 from relocbench.evaluation.isolation.handles import TrackerHandle
 from relocbench.evaluation.probe.tally import Tally, What
 from relocbench.geometry import make_transform, so3_exp
-from relocbench.metrics import PoseErrors, pose_errors, within
+from relocbench.metrics import PoseErrors, pose_array, pose_errors, within
 from relocbench.tracking import Query
 
 OFFSETS: dict[What, tuple[float, ...]] = {
@@ -51,6 +50,22 @@ def draw_priors(T_query_ref: Array, what: What, key: PairKey, directions: int, s
     return out
 
 
+def tracked_from(
+    tracker: TrackerHandle | None, query: Query, T_query_ref: Array, starts: Array
+) -> tuple[PoseErrors, str]:
+    """The errors of the answers from starts (N, 4, 4), and how the method crashed, empty if it did not.
+
+    Args:
+        tracker: prepared for the keyframe; None if it crashed on it, in which case nothing is answered.
+    """
+    truth = np.broadcast_to(T_query_ref, starts.shape)
+    if tracker is None:
+        return pose_errors(pose_array([None] * len(starts)), truth), ""
+    results, _ = tracker.ask([query] * len(starts), list(starts))
+    crash = next((result.message for result in results if result.status == "error"), "")
+    return pose_errors(pose_array(result.T_query_ref for result in results), truth), crash
+
+
 def probe_poses(
     tracker: TrackerHandle | None, query: Query, T_query_ref: Array, key: PairKey, directions: int, seed: int
 ) -> tuple[list[Tally], str]:
@@ -65,13 +80,8 @@ def probe_poses(
     tallies, crash = [], ""
     for what, offsets in OFFSETS.items():
         priors = draw_priors(T_query_ref, what, key, directions, seed)
-        flat = priors.reshape(-1, 4, 4)
-        nothing = [error_answer("")] * len(flat)
-        results = nothing if tracker is None else tracker.ask([query] * len(flat), list(flat))[0]
-        crash = crash or next((r.message for r in results if r.status == "error"), "")
-        answers = [np.full((4, 4), np.nan) if r.T_query_ref is None else r.T_query_ref for r in results]
-        truth = np.repeat(T_query_ref[None], len(flat), axis=0)
-        ends = pose_errors(np.array(answers, dtype=np.float64), truth)
+        ends, crash_too = tracked_from(tracker, query, T_query_ref, priors.reshape(-1, 4, 4))
+        crash = crash or crash_too
         tallies.append(
             Tally(
                 what,
@@ -79,15 +89,11 @@ def probe_poses(
                 offsets,
                 (directions,) * len(offsets),
                 _by_offset(ends.answered, offsets),
-                {name: _by_offset(_near(ends, name), offsets) for name in WITHIN},
+                {name: _by_offset(within(ends, *limits), offsets) for name, limits in WITHIN.items()},
                 {name: _starts_near(what, offsets, name, directions) for name in WITHIN},
             )
         )
     return tallies, crash
-
-
-def _near(errors: PoseErrors, name: str) -> Mask:
-    return within(errors, *WITHIN[name])
 
 
 def _starts_near(what: What, offsets: Sequence[float], name: str, directions: int) -> tuple[int, ...]:

@@ -15,9 +15,8 @@ import numpy as np
 
 from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.evaluation.isolation.answers import error_answer
 from relocbench.evaluation.isolation.handles import TrackerHandle
-from relocbench.evaluation.probe.poses import CONVERGED, WITHIN
+from relocbench.evaluation.probe.poses import CONVERGED, WITHIN, tracked_from
 from relocbench.evaluation.probe.tally import Tally
 from relocbench.geometry import invert, make_transform, rotation_angle, so3_exp
 from relocbench.metrics import Difference, paired_difference, pose_errors, within
@@ -73,11 +72,8 @@ def probe_starts(
     """
     starts = draw_starts(T_query_ref, key, directions, seed)
     kind = np.minimum(np.arange(len(starts)), KINDS.index("random"))
-    nothing = [error_answer("")] * len(starts)
-    results = nothing if tracker is None else tracker.ask([query] * len(starts), list(starts))[0]
-    answers = [np.full((4, 4), np.nan) if r.T_query_ref is None else r.T_query_ref for r in results]
-    truth = np.repeat(T_query_ref[None], len(starts), axis=0)
-    ends, begins = pose_errors(np.array(answers, dtype=np.float64), truth), pose_errors(starts, truth)
+    ends, crash = tracked_from(tracker, query, T_query_ref, starts)
+    begins = pose_errors(starts, np.broadcast_to(T_query_ref, starts.shape))
 
     def by_kind(chosen: Mask) -> tuple[int, ...]:
         return tuple(int(np.sum(chosen[kind == k])) for k in range(len(KINDS)))
@@ -91,7 +87,7 @@ def probe_starts(
         {name: by_kind(within(ends, *limits)) for name, limits in WITHIN.items()},
         {name: by_kind(within(begins, *limits)) for name, limits in WITHIN.items()},
     )
-    return tally, next((r.message for r in results if tracker is not None and r.status == "error"), "")
+    return tally, crash
 
 
 def start_line(

@@ -13,7 +13,7 @@ from relocbench.evaluation.relocalization.answers import Outcome, PipelineAnswer
 from relocbench.evaluation.relocalization.basin import Basin
 from relocbench.evaluation.relocalization.truth import MapTruth, distance_and_angle, inside
 from relocbench.evaluation.tables.answers import Answer
-from relocbench.metrics import PoseErrors, pose_errors, within
+from relocbench.metrics import PoseErrors, pose_array, pose_errors, within
 from relocbench.metrics.pose.scores import CORRECT
 
 RIGHT = CORRECT
@@ -137,8 +137,7 @@ def most_confident(confidence: Sequence[float | None], answered: Sequence[bool])
 def errors_where_known(poses: Sequence[Array | None], T_query_ref: Array) -> PoseErrors:
     """The errors of answers to (N, 4, 4) true poses; infinite where there is no answer, or no truth to judge it by."""
     known: Mask = np.all(np.isfinite(T_query_ref), axis=(1, 2))
-    answers = np.array([np.full((4, 4), np.nan) if T is None else T for T in poses]).reshape(-1, 4, 4)
-    return pose_errors(answers, np.where(known[:, None, None], T_query_ref, np.eye(4)), answered=known)
+    return pose_errors(pose_array(poses), np.where(known[:, None, None], T_query_ref, np.eye(4)), answered=known)
 
 
 def _together(seconds: Sequence[float | None]) -> float | None:

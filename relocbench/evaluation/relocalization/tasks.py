@@ -6,16 +6,16 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.pairs.street_places import time_of_key
 from relocbench.errors import ConfigError
 from relocbench.evaluation.common.results import rounded_median
 from relocbench.evaluation.relocalization.records import PipelineSet, PipelineTask
 from relocbench.evaluation.relocalization.truth import MapTruth
 from relocbench.evaluation.retrieval.opening import OpenedSet
 from relocbench.progress import Reporter
-from relocbench.retrieval import ImageView, RetrievalTask
+from relocbench.retrieval import RetrievalTask
 
 _VERSION = 1
 """to be incremented when the task of the same dataset changes"""
@@ -64,12 +64,8 @@ def pipeline_tasks(dataset: Dataset, opened: OpenedSet, reporter: Reporter) -> P
 
 
 def _truth(dataset: Dataset, task: RetrievalTask) -> MapTruth:
-    return MapTruth(dataset, dataset.pair_set(task.name), *(_times(side) for side in (task.queries, task.gallery)))
-
-
-def _times(images: tuple[ImageView, ...]) -> list[int]:
-    """Timestamps from keys such as ``traversals/NAME/images/CAMERA/TIME.png``."""
-    return [int(Path(image.key).stem) for image in images]
+    times = ([time_of_key(image.key) for image in side] for side in (task.queries, task.gallery))
+    return MapTruth(dataset, dataset.pair_set(task.name), *times)
 
 
 def _record(dataset: Dataset, task: RetrievalTask, truth: MapTruth) -> PipelineTask:

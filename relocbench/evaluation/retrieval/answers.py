@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -13,6 +13,7 @@ import numpy as np
 from relocbench.errors import PredictionError, quoted
 from relocbench.evaluation.tables.schema import COUNT, SECONDS, STATUS, TEXT, Kind, Record, Schema, TableRow
 from relocbench.files import atomic_write, lines_of, read_text, whole_number
+from relocbench.files.plain import MAX_BYTES
 from relocbench.metrics import NEVER, Ranking
 from relocbench.retrieval import RetrievalTask
 
@@ -86,6 +87,18 @@ def write_lists(path: Path, lists: Mapping[str, Sequence[str]]) -> None:
             stream.writelines(f"{query} {image}\n" for image in retrieved)
 
 
+def list_lines(path: Path, most_bytes: int = MAX_BYTES) -> Iterator[tuple[int, list[str]]]:
+    """Line number and words of each line of a file of lists, without blank lines and comments, which begin with ``#``.
+
+    Raises:
+        PredictionError: the file cannot be read.
+    """
+    text = read_text(path, "retrieved images, a line 'query db' each", PredictionError, most_bytes)
+    for number, line in enumerate(lines_of(text), start=1):
+        if not line.startswith("#") and (words := line.split()):
+            yield number, words
+
+
 def read_task_lists(path: Path, task: RetrievalTask) -> dict[str, list[int]]:
     """Read the file of a task, as :func:`read_lists`, in the order of its queries."""
     queries, gallery = ({image.key: place for place, image in enumerate(of)} for of in (task.queries, task.gallery))
@@ -105,11 +118,7 @@ def read_lists(path: Path, queries: Mapping[str, int], gallery: Mapping[str, int
     """
     lists: dict[str, list[int]] = {key: [] for key in queries}
     seen: set[tuple[str, int]] = set()
-    text = read_text(path, "retrieved images, a line 'query db' each", PredictionError)
-    for number, line in enumerate(lines_of(text), start=1):
-        words = line.split()
-        if not words or line.startswith("#"):
-            continue
+    for number, words in list_lines(path):
         if len(words) != 2:
             raise PredictionError(f"expected 'query db', found {len(words)} words", path, number)
         query, image = words

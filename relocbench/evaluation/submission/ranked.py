@@ -14,7 +14,7 @@ from relocbench.datasets.checks.faults import Findings
 from relocbench.datasets.pairs.street_places import StreetPlaces
 from relocbench.errors import PredictionError, quoted
 from relocbench.evaluation.common.results import MethodResults, RunRecord
-from relocbench.evaluation.retrieval.answers import ANSWERS, write_lists
+from relocbench.evaluation.retrieval.answers import ANSWERS, list_lines, write_lists
 from relocbench.evaluation.retrieval.external import answers_to
 from relocbench.evaluation.retrieval.opening import OpenedSet, open_set
 from relocbench.evaluation.retrieval.records import (
@@ -38,7 +38,7 @@ from relocbench.evaluation.submission.contract import (
     withheld,
 )
 from relocbench.evaluation.submission.resolving import ResolvedRetrievalSet, resolve_lists
-from relocbench.files import lines_of, read_bytes, read_text, write_bytes
+from relocbench.files import read_bytes, write_bytes
 from relocbench.progress import Reporter
 from relocbench.retrieval import RetrievalTask
 
@@ -83,12 +83,8 @@ def read_ranked(path: Path, task: RetrievalTask, resolved: ResolvedRetrievalSet,
     names = {image.key for image in (*task.queries, *task.gallery)} if resolved.blind is not None else set()
     most = _SPARE_BYTES + _LINE_BYTES * len(queries) * min(len(gallery), MOST_IMAGES)
     with findings.catching():
-        text = read_text(path, "retrieved images, a line 'query db' each", PredictionError, most)
         seen: set[tuple[str, str]] = set()
-        for number, line in enumerate(lines_of(text), start=1):
-            words = line.split()
-            if not words or line.startswith("#"):
-                continue
+        for number, words in list_lines(path, most):
             if len(words) != 2:
                 out.invalid += 1
                 findings.fault(f"expected 'query db', found {len(words)} words", path, number)

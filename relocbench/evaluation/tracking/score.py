@@ -29,7 +29,7 @@ from relocbench.evaluation.tables.matching import (
 from relocbench.evaluation.tables.schema import ALL
 from relocbench.files import plain_file, remove_parts
 from relocbench.geometry import Camera
-from relocbench.metrics import PairSetSummary, align_predictions, pose_errors, reprojection_errors
+from relocbench.metrics import PairSetSummary, align_predictions, pose_array, pose_errors, reprojection_errors
 
 FORMULAS = 1
 """Version of the formulas: a change by which the same predictions and truth get other scores increases it."""
@@ -114,8 +114,7 @@ def score_pair_set(pair_set: PairSet, folder: MethodResults) -> ErrorTable:
     answers = read_answers(path) if path.exists() else {}
     pairs = pair_set.evaluated
     align_predictions([p.key for p in pairs], list(answers), path=path)
-    T_pred = np.array([poses.get(p.key, np.full((4, 4), np.nan)) for p in pairs]).reshape(-1, 4, 4)
-    T_gt = np.array([p.T_query_ref for p in pairs], dtype=np.float64).reshape(-1, 4, 4)
+    T_pred, T_gt = pose_array(poses.get(p.key) for p in pairs), pose_array(p.T_query_ref for p in pairs)
     errors = pose_errors(T_pred, T_gt, answered=[p.key in poses for p in pairs])
     values = zip(
         errors.rotation_error_deg,

@@ -22,7 +22,7 @@ from relocbench.errors import ConfigError
 from relocbench.evaluation.isolation.answers import CheckedAnswer, error_answer
 from relocbench.evaluation.isolation.handles import LocalTracker
 from relocbench.evaluation.isolation.views import masked_query, masked_reference
-from relocbench.metrics import PoseErrors, pose_errors, summarize
+from relocbench.metrics import PoseErrors, pose_array, pose_errors, summarize
 from relocbench.progress import Reporter
 from relocbench.tracking import Tracker
 from relocbench.training import ValidationScores
@@ -83,10 +83,10 @@ class TrackerValidation:
                     if result.status == "error":
                         messages.setdefault(result.message)
                     conditions.append(each.conditions)
-                    answers.append(np.full((4, 4), np.nan) if result.T_query_ref is None else result.T_query_ref)
+                    answers.append(result.T_query_ref)
                     truth.append(each.pair.T_query_ref)
                     advance(1)
-        errors = pose_errors(np.array(answers, dtype=np.float64), np.array(truth, dtype=np.float64))
+        errors = pose_errors(pose_array(answers), pose_array(truth))
         of = np.array(conditions)
         names = sorted(set(conditions))
         return ValidationScores(

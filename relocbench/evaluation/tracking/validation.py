@@ -15,6 +15,7 @@ from relocbench.errors import PredictionError, available
 from relocbench.evaluation.common.dataset_lookup import check_record
 from relocbench.evaluation.common.results import PREDICTIONS, DatasetRecord, MethodResults, RunRecord, ScoreRecord
 from relocbench.evaluation.common.runs import labelled_target, settings_of
+from relocbench.evaluation.isolation.journal import answered_keys
 from relocbench.evaluation.tables.answers import ANSWERS
 from relocbench.evaluation.tables.errors import ERRORS, read_errors
 from relocbench.evaluation.tracking.score import FORMULAS
@@ -25,7 +26,6 @@ from relocbench.evaluation.tracking.verification import (
     matching_of_pair_set,
     rescored,
 )
-from relocbench.files import read_journal
 from relocbench.progress import Reporter
 
 _OTHERS = ("retrieval.yaml", "relocalization.yaml")
@@ -199,8 +199,7 @@ def _note_unfinished(
     """Note what an unfinished run has done and how to resume it; that is no fault."""
     pair_sets = expected.pair_sets or {}
     for name in sorted(running):
-        journal = folder.journal(name)
-        done = {tuple(e["key"]) for path in journal.glob("*.jsonl") for e in read_journal(path) if "key" in e}
+        done = answered_keys(folder.journal(name))
         of = f" of {pair_sets[name]}" if name in pair_sets else ""
         findings.note(
             f"unfinished: {len(done)}{of} pairs of {name} are answered{_resume(folder, run, expected)}", folder.root

@@ -45,8 +45,15 @@ class TaskLike(Protocol):
     def queries(self) -> int: ...
 
 
+class QuerySet(SetLike, Protocol):
+    """A set of tasks."""
+
+    @property
+    def tasks(self) -> Mapping[str, Any]: ...
+
+
 F = TypeVar("F", bound=AnswerFolder)
-S = TypeVar("S", bound=SetLike)
+S = TypeVar("S", bound=QuerySet)
 U = TypeVar("U", bound=TaskLike)
 M = TypeVar("M", bound=ByQuery)
 T = TypeVar("T")
@@ -113,6 +120,9 @@ class QueryTask(BoardTask[F, S, U, M, T, Row[M]]):
     """of the answers of a method to a task"""
     shows_unanswered: bool = False
     """whether a set is shown of which no method has answered a task; one without any method is then a fault"""
+
+    def units(self, record: S, split: str | None = None) -> Mapping[str, U]:
+        return {name: of for name, of in record.tasks.items() if split is None or name in record.splits[split]}
 
     @abstractmethod
     def title(self, record: S) -> str: ...

@@ -105,6 +105,29 @@ def _bound(metric: str, end: str) -> Column[HasIntervals]:
     return Column(f"{metric}_{end}", lambda line: getattr(line.interval(metric), end, None), "share")
 
 
+def number_column(
+    key: str,
+    unit: str = "share",
+    *,
+    definition: str = "",
+    higher_is_better: bool | None = None,
+    value: Callable[[Line[B, T, R]], Value] | None = None,
+) -> Column[Line[B, T, R]]:
+    """A number of the rows, with its interval where they have one.
+
+    Args:
+        value: where it is another than that of the row, such as what chance scores.
+    """
+    return Column(
+        key,
+        value or (lambda line: line.value(key)),
+        unit,
+        bounds=lambda line: line.interval(key),
+        definition=definition,
+        higher_is_better=higher_is_better,
+    )
+
+
 def rank_column() -> Column[Line[B, T, R]]:
     """Ranks, which are not shown where all methods share one."""
 

@@ -7,7 +7,7 @@ what is refused, and how ranks, intervals and the order of rows come about is th
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
@@ -277,8 +277,7 @@ def compared(
     for method in methods:
         missing = tuple(name for name in plan.units if name not in method.answers)
         rows.append(task.row(method, plan, known.get(method.label) or Standing(None, {}, missing)))
-    sign = -1.0 if task.higher_is_better(metric) else 1.0
-    return sorted(rows, key=_order(task, metric, sign))
+    return best_first(task, rows, metric, lambda row: task.stands_last(row.method))
 
 
 def standings(
@@ -336,12 +335,18 @@ def standings(
     return out
 
 
-def _order(
-    task: BoardTask[F, S, U, M, T, R], metric: str, sign: float
-) -> Callable[[R], tuple[tuple[bool, ...], bool, float, int, str]]:
+def best_first(
+    task: BoardTask[F, S, U, M, T, Any], rows: Iterable[R], metric: str, last: Callable[[R], tuple[bool, ...]]
+) -> list[R]:
+    """Rows in the order in which tables show them.
+
+    Args:
+        last: what puts a row behind all others, whatever its value.
+    """
+    sign = -1.0 if task.higher_is_better(metric) else 1.0
+
     def place(row: R) -> tuple[tuple[bool, ...], bool, float, int, str]:
         value = row.values[metric]
-        last = task.stands_last(row.method)
-        return last, value is None, sign * (value or 0.0), row.rank or 0, row.method.label
+        return last(row), value is None, sign * (value or 0.0), row.rank or 0, row.method.label
 
-    return place
+    return sorted(rows, key=place)

@@ -24,6 +24,11 @@ class Method(Protocol):
         ...
 
 
+def is_renamed(label: str, ran_as: str) -> bool:
+    """Whether a folder is not named as its run, other than by the fingerprint of a copy of the dataset."""
+    return ran_as not in ("", label, label.rpartition("@")[0])
+
+
 M_co = TypeVar("M_co", bound=Method, covariant=True)
 
 

@@ -9,7 +9,7 @@ Datasets of one name, such as two versions of one, are one road.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -22,12 +22,13 @@ from relocbench.leaderboard.common.columns import (
     bounds_columns,
     by_key,
     family_column,
+    number_column,
     rank_column,
     records,
     texts,
 )
 from relocbench.leaderboard.common.latex import LatexTable
-from relocbench.leaderboard.common.loading import BoardTask, Plan, Standing, standings
+from relocbench.leaderboard.common.loading import BoardTask, Plan, Standing, best_first, standings
 from relocbench.leaderboard.common.model import Method, Row, about_ranks
 from relocbench.leaderboard.common.text import METHOD, RANK, Value
 from relocbench.metrics import generator
@@ -135,14 +136,8 @@ def over_datasets(
         rows.append(
             Row(everywhere, values, standing.intervals, standing.rank, missing=missing[label], family=standing.family)
         )
-    sign = -1.0 if task.higher_is_better(metric) else 1.0
-
-    def place(row: Row[Everywhere[M]]) -> tuple[tuple[bool, ...], bool, float, int, str]:
-        last = max(task.stands_last(method) for method in row.method.answers.values())
-        value = row.values[metric]
-        return last, value is None, sign * (value or 0.0), row.rank or 0, row.method.label
-
-    return OverDatasets(name, tuple(parts), metric, what, tuple(sorted(rows, key=place)))
+    in_order = best_first(task, rows, metric, lambda row: max(map(task.stands_last, row.method.answers.values())))
+    return OverDatasets(name, tuple(parts), metric, what, tuple(in_order))
 
 
 def _is_whole(part: Part[M], own: Mapping[str, M]) -> bool:
@@ -167,9 +162,6 @@ def over_columns(over: OverDatasets[Any]) -> dict[str, OverColumn]:
     """All columns by their keys, in the order of CSV."""
     metric = over.metric
 
-    def share(key: str, bounds: Callable[[OverLine], Any] | None = None) -> OverColumn:
-        return Column(key, lambda line: line.value(key), "share", bounds=bounds, higher_is_better=True)
-
     return by_key(
         [
             Column("table", lambda line: line.table.name),
@@ -179,10 +171,10 @@ def over_columns(over: OverDatasets[Any]) -> dict[str, OverColumn]:
             rank_column(),
             family_column(),
             Column("missing", lambda line: line.of_row(lambda row: " ".join(row.missing))),
-            share(metric, lambda line: line.interval(metric)),
+            number_column(metric, higher_is_better=True),
             *bounds_columns([metric]),
-            share(LEAST),
-            share(GREATEST),
+            number_column(LEAST, higher_is_better=True),
+            number_column(GREATEST, higher_is_better=True),
         ]
     )
 

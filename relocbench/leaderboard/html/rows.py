@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Any
 
 from relocbench.leaderboard.boards import Boards
@@ -38,7 +38,8 @@ def sections(boards: Boards) -> list[dict[str, Any]]:
     sections = []
     board = boards.tracking
     if board is not None:
-        sections += [_over_section("Trackers", over, frozenset(_ran(board))) for over in board.over]
+        ran = frozenset(method.label for method in board.methods)
+        sections += [_over_section("Trackers", over, ran) for over in board.over]
         totals = [(dataset, table) for dataset in board.datasets for table in dataset.totals]
         rows = [tracker_row(board, of, table, row) for of, table in totals for row in table.rows]
         remarks = [(of.entry.title, table_title(t), about_ranks(board, t), no_gain(of, t)) for of, t in totals]
@@ -57,11 +58,6 @@ def sections(boards: Boards) -> list[dict[str, Any]]:
         section = {"title": pages.title, "metric": by_query.metric, "what": "queries", "rows": rows, "notes": notes}
         sections.append(section)
     return sections
-
-
-def _ran(board: Board) -> Iterator[str]:
-    """The labels of all methods, which have pages."""
-    return (method.label for dataset in board.datasets for method in dataset.entry.methods)
 
 
 def _over_section(title: str, over: OverDatasets[Any], known: frozenset[str]) -> dict[str, Any]:

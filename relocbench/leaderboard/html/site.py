@@ -189,9 +189,9 @@ def _site_payload(boards: Boards) -> dict[str, Any]:
     for pages, by_query in reversed(pages_by_query(boards)):
         methods = [method for of in by_query.sets for method in of.methods]
         found |= looks({m.label for m in methods}, {m.label for m in methods if pages.is_baseline(m)})
-    trackers = [m for dataset in (boards.tracking.datasets if boards.tracking else ()) for m in dataset.entry.methods]
+    trackers = boards.tracking.methods if boards.tracking else []
     found |= looks({m.label for m in trackers}, {m.label for m in trackers if m.is_baseline})
-    in_order = dict.fromkeys([*_retrievers(boards), *(m.label for m in trackers)])
+    in_order = dict.fromkeys([*boards.retrievers, *(m.label for m in trackers)])
     return {
         "looks": found,
         "pages": {label: links.method_page(label) for label in in_order},
@@ -200,13 +200,8 @@ def _site_payload(boards: Boards) -> dict[str, Any]:
     }
 
 
-def _retrievers(boards: Boards) -> list[str]:
-    """The labels of all retrievers, sorted."""
-    return sorted({m.label for of in (boards.retrieval.sets if boards.retrieval else ()) for m in of.methods})
-
-
 def _write_methods(boards: Boards, site: Path) -> set[Path]:
-    by_label: dict[str, list[tuple[DatasetBoard, Method]]] = {label: [] for label in _retrievers(boards)}
+    by_label: dict[str, list[tuple[DatasetBoard, Method]]] = {label: [] for label in boards.retrievers}
     board = boards.tracking
     for dataset in board.datasets if board else ():
         for method in dataset.entry.methods:

@@ -101,9 +101,6 @@ class RelocalizationBoards(QueryTask[PipelineResults, PipelineSet, PipelineTask,
     with_interval = (RANKING, "recall@(1m,5deg)", HIT)
     ranking = RANKING
 
-    def units(self, record: PipelineSet, split: str | None = None) -> Mapping[str, PipelineTask]:
-        return {name: of for name, of in record.tasks.items() if split is None or name in record.splits[split]}
-
     def is_of(self, dataset: Dataset | CrossViewSet, record: PipelineSet) -> bool:
         return (dataset.name, dataset.fingerprint) == (record.dataset, record.dataset_fingerprint)
 

@@ -11,9 +11,10 @@ from relocbench.leaderboard.common.columns import (
     by_key,
     counts_column,
     family_column,
+    number_column,
     rank_column,
 )
-from relocbench.leaderboard.common.text import BASIN, COUNTS, RANK, RESCORED, RETRIEVER, SECONDS, TOP, TRACKER, Value
+from relocbench.leaderboard.common.text import BASIN, COUNTS, RANK, RESCORED, RETRIEVER, SECONDS, TOP, TRACKER
 from relocbench.leaderboard.relocalization.board import (
     RELOCALIZATION,
     SHARES,
@@ -23,7 +24,7 @@ from relocbench.leaderboard.relocalization.board import (
     PipelineTable,
     is_rescored,
 )
-from relocbench.metrics import Interval, metric_named
+from relocbench.metrics import metric_named
 
 PipelineLine = Line[PipelineSetBoard, PipelineTable, PipelineRow]
 PipelineColumn = Column[PipelineLine]
@@ -125,11 +126,5 @@ def _basin(line: PipelineLine) -> Basin | None:
 
 
 def _number(name: str, unit: str) -> PipelineColumn:
-    def value(line: PipelineLine) -> Value:
-        return line.value(name)
-
-    def bounds(line: PipelineLine) -> Interval | None:
-        return line.interval(name)
-
     better = unit == "share" and name not in FAILURES
-    return Column(name, value, unit, bounds=bounds, definition=_DEFINED.get(name, ""), higher_is_better=better)
+    return number_column(name, unit, definition=_DEFINED.get(name, ""), higher_is_better=better)

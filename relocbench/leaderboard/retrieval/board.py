@@ -68,11 +68,6 @@ class Retriever:
         """Whether the method is the trivial baseline, which ranks at random, whatever its label."""
         return self.run.target.removeprefix(PREDICTIONS) in RANDOM_TARGETS
 
-    @property
-    def renamed(self) -> bool:
-        """Whether the folder is not named as its run."""
-        return self.ran_as not in ("", self.label, self.label.rpartition("@")[0])
-
     def per_query(self, task: str, metric: str) -> Array:
         """(Q,) the values of a metric on a task."""
         if task not in self._scores:
@@ -99,9 +94,6 @@ class RetrievalBoards(QueryTask[RetrieverResults, SetRecord, TaskRecord, Retriev
 
     def is_scored(self, record: SetRecord) -> bool:
         return not record.is_withheld
-
-    def units(self, record: SetRecord, split: str | None = None) -> Mapping[str, TaskRecord]:
-        return {name: of for name, of in record.tasks.items() if split is None or name in record.splits[split]}
 
     def is_of(self, dataset: Dataset | CrossViewSet, record: SetRecord) -> bool:
         return belongs(dataset, record)

@@ -10,6 +10,7 @@ from relocbench.leaderboard.common.columns import (
     by_key,
     counts_column,
     family_column,
+    number_column,
     rank_column,
 )
 from relocbench.leaderboard.common.text import COUNTS, METHOD, RANK, RESCORED, SECONDS, Value
@@ -23,7 +24,6 @@ from relocbench.leaderboard.retrieval.board import (
     confirmed_of,
     rescored_text,
 )
-from relocbench.metrics import Interval
 
 CHANCE = "(chance)"
 RetrievalLine = Line[RetrievalSetBoard, RetrievalTable, RetrievalRow]
@@ -78,6 +78,7 @@ def retrieval_columns(board: RetrievalBoard) -> dict[str, RetrievalColumn]:
             Column(RESCORED, lambda line: line.of_row(lambda row: rescored_text(row, line.table)), shown=_rescored),
             Column("failed", lambda line: line.of_row(lambda row: row.failed)),
             Column("broke", lambda line: line.of_row(lambda row: row.broke)),
+            counts_column(),
             Column(
                 SECONDS,
                 lambda line: line.value(SECONDS),
@@ -87,7 +88,6 @@ def retrieval_columns(board: RetrievalBoard) -> dict[str, RetrievalColumn]:
                 higher_is_better=False,
             ),
             *(_most_of_tasks(name) for name in ("descriptor_bytes", "peak_memory_bytes")),
-            counts_column(),
             *(_metric(metric) for metric in METRICS),
             *bounds_columns(with_interval),
             *(_believed(metric) for metric in METRICS),
@@ -105,10 +105,7 @@ def _metric(metric: str) -> RetrievalColumn:
     def value(line: RetrievalLine) -> Value:
         return chance_of(line.table)[metric] if line.row is None else line.value(metric)
 
-    def bounds(line: RetrievalLine) -> Interval | None:
-        return line.interval(metric)
-
-    return Column(metric, value, "share", bounds=bounds, definition=defined(metric), higher_is_better=True)
+    return number_column(metric, definition=defined(metric), higher_is_better=True, value=value)
 
 
 def _most_of_tasks(name: str) -> RetrievalColumn:

@@ -11,7 +11,7 @@ from relocbench.files import json_text
 from relocbench.leaderboard.common.cards import add_command, answers_on_copies, shown_cards
 from relocbench.leaderboard.common.columns import texts
 from relocbench.leaderboard.common.commands import method_words, page_command
-from relocbench.leaderboard.common.model import about_ranks
+from relocbench.leaderboard.common.model import about_ranks, is_renamed
 from relocbench.leaderboard.common.over_datasets import over_sections
 from relocbench.leaderboard.retrieval.board import (
     RetrievalBoard,
@@ -79,7 +79,7 @@ def _set(board: RetrievalBoard, asked: RetrievalSetBoard) -> dict[str, object]:
         ],
         "cards": shown_cards(asked.title, methods),
         "elsewhere": [m.label for m in methods if m.run.made_elsewhere or m.run.target.startswith(PREDICTIONS)],
-        "renamed": [(m.label, m.ran_as) for m in methods if m.renamed],
+        "renamed": [(m.label, m.ran_as) for m in methods if is_renamed(m.label, m.ran_as)],
         "parameters": [(m.label, json_text(m.run.parameters)) for m in methods if m.run.parameters],
         "info": [(m.label, json_text(m.run.info)) for m in methods if m.run.info],
     }

@@ -12,6 +12,7 @@ from relocbench.leaderboard.common.columns import (
     by_key,
     counts_column,
     family_column,
+    number_column,
     rank_column,
 )
 from relocbench.leaderboard.common.text import ELSEWHERE, METHOD, RESCORED, SECONDS_AND_P95, Value, number
@@ -87,13 +88,8 @@ def tracking_columns(board: Board) -> dict[str, TrackingColumn]:
 def _metric(board: Board, metric: Metric) -> list[TrackingColumn]:
     """The column of a metric, with those of its bounds where it has an interval."""
     name = metric.name
-    column: TrackingColumn = Column(
-        name,
-        lambda line: line.value(name),
-        metric.unit,
-        bounds=lambda line: line.interval(name),
-        definition=metric.description,
-        higher_is_better=metric.higher_is_better,
+    column: TrackingColumn = number_column(
+        name, metric.unit, definition=metric.description, higher_is_better=metric.higher_is_better
     )
     pairs: TrackingColumn = Column(f"{name}_pairs", lambda line: line.table.over[name])
     bounds = bounds_columns([name]) if metric in board.with_interval else []

@@ -36,7 +36,6 @@ def front_page(board: Board) -> str:
     """The page that links the others."""
     rescored = [d for d in board.datasets if any(m.rescored for m in d.entry.methods)]
     datasets = {0: "", 1: "DATASET"}.get(len(rescored), "DATASETS")
-    methods = [method for dataset in board.datasets for method in dataset.entry.methods]
     return render(
         __name__,
         "front_page.md.j2",
@@ -47,7 +46,7 @@ def front_page(board: Board) -> str:
         over=over_sections(board.over),
         datasets=[_dataset(board, dataset) for dataset in board.datasets],
         grouped=any(dataset.groups_of(table) for dataset in board.datasets for table in dataset.totals),
-        signed=[mark for mark in MARKS if any(mark.applies(method) for method in methods)],
+        signed=[mark for mark in MARKS if any(mark.applies(method) for method in board.methods)],
         dagger=DAGGER if any(_shows_finer(board, table) for d in board.datasets for table in d.totals) else "",
         reading=READING,
         page_command=page_command("--metric", board.metric.name, board.seed, board.split, datasets),

@@ -21,7 +21,6 @@ from relocbench.evaluation.common.results import (
     all_results,
 )
 from relocbench.leaderboard.common.loading import BoardTask, Loaded, Plan, Standing, load_sets
-from relocbench.leaderboard.common.untrusted_results import check_folder
 from relocbench.leaderboard.tracking.marks import is_ranked
 from relocbench.leaderboard.tracking.method import Method, read_method
 from relocbench.leaderboard.tracking.model import RANKING, DatasetEntry, Row
@@ -48,7 +47,6 @@ def load_results(
         ConfigError: a split that no dataset has.
         DatasetError: a dataset that was named is damaged.
     """
-    check_folder(results)
     all_results(results)  # refuses a folder that holds none
     loaded = load_sets(Trackers(), results, split, datasets or DatasetLookup(results))
     if not any(of.methods for of in loaded):

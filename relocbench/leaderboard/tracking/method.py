@@ -21,6 +21,7 @@ from relocbench.evaluation.common.results import (
     RunRecord,
     ScoreRecord,
 )
+from relocbench.evaluation.isolation.journal import answered_keys
 from relocbench.evaluation.submission.kept import KeptCard, kept_card
 from relocbench.evaluation.tables.errors import ErrorTable, read_errors
 from relocbench.evaluation.tables.matching import MatchingRow
@@ -34,7 +35,6 @@ from relocbench.evaluation.tracking.verification import (
     matching_of_pair_set,
     rescored,
 )
-from relocbench.files import read_journal
 from relocbench.leaderboard.common.cards import add_command
 from relocbench.leaderboard.common.commands import method_words
 from relocbench.leaderboard.common.untrusted_results import check_lies_with
@@ -175,13 +175,7 @@ def _why_missing(folder: MethodResults, pair_set: str, record: PairSetRecord) ->
     journal = folder.journal(pair_set)
     if not journal.is_dir():
         return "not run"
-    keys = {
-        str(entry["key"])
-        for path in sorted(journal.glob("*.jsonl"))
-        for entry in read_journal(path)
-        if isinstance(entry, dict) and "key" in entry
-    }
-    return f"the run was stopped after {len(keys)} of {record.asked} pairs"
+    return f"the run was stopped after {len(answered_keys(journal))} of {record.asked} pairs"
 
 
 def _scores(folder: MethodResults, run: RunRecord) -> ScoreRecord:

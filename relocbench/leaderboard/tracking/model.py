@@ -184,6 +184,11 @@ class Board:
     """the totals over all datasets together"""
 
     @property
+    def methods(self) -> list[Method]:
+        """The methods of all datasets, one after the other."""
+        return [method for dataset in self.datasets for method in dataset.entry.methods]
+
+    @property
     def with_interval(self) -> tuple[Metric, ...]:
         """The metrics that are shown with an interval, in the registry's order."""
         return tuple(m for m in METRICS if m.with_interval or m == self.metric)

@@ -8,6 +8,7 @@ from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.evaluation.tables.schema import ALL
 from relocbench.files import json_text
 from relocbench.leaderboard.common.cards import answers_on_copies, shown_cards
+from relocbench.leaderboard.common.model import is_renamed
 from relocbench.leaderboard.common.text import COUNTS, ELSEWHERE, METHOD, RANK, SECONDS_AND_P95, number
 from relocbench.leaderboard.tracking.columns import lines_of, tracking_columns
 from relocbench.leaderboard.tracking.marks import (
@@ -65,7 +66,7 @@ def set_page(board: Board, dataset: DatasetBoard) -> str:
         reservations=reservations(dataset),
         missing=list(_missing(dataset)),
         marked=[(mark, labels) for mark in MARKS if (labels := [m.label for m in methods if mark.applies(m)])],
-        renamed=[(m.label, m.ran_as) for m in methods if _renamed(m)],
+        renamed=[(m.label, m.ran_as) for m in methods if is_renamed(m.label, m.ran_as)],
         sections=[
             *(_section(board, dataset, t) | {"total": True} for t in dataset.totals if len(t.pair_sets) > 1),
             *(_section(board, dataset, t) | {"matching": _matching(dataset, t)} for t in dataset.pair_sets),
@@ -79,11 +80,6 @@ def set_page(board: Board, dataset: DatasetBoard) -> str:
         differences=list(_differences(methods)),
         commands=[evaluate_command(m.run, matching=bool(m.matching)) for m in methods],
     )
-
-
-def _renamed(method: Method) -> bool:
-    """Whether the folder has another name than the run, other than that of a copy of the dataset."""
-    return method.ran_as not in ("", method.label, method.label.rpartition("@")[0])
 
 
 def _confidences(board: Board, dataset: DatasetBoard, *, elsewhere: bool) -> str:

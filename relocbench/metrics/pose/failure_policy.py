@@ -11,7 +11,7 @@ By rules 1 and 2 every pair has a value in every metric below, so that a share i
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,12 @@ from numpy.typing import ArrayLike
 
 from relocbench.arrays import Array, Indices, Mask
 from relocbench.errors import DatasetError, PredictionError
+
+
+def pose_array(poses: Iterable[ArrayLike | None]) -> Array:
+    """(N, 4, 4) poses, NaN where there is none: so :func:`answered_pairs` knows it."""
+    known = [np.full((4, 4), np.nan) if pose is None else pose for pose in poses]
+    return np.array(known, dtype=np.float64).reshape(-1, 4, 4)
 
 
 def answered_pairs(T_pred: ArrayLike, answered: ArrayLike | None = None) -> Mask:

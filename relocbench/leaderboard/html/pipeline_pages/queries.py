@@ -11,7 +11,7 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.fingerprint import SHORT
-from relocbench.datasets.pairs.street_places import street_view
+from relocbench.datasets.pairs.street_places import street_view, time_of_key
 from relocbench.evaluation.relocalization.answers import OUTCOMES, PipelineAnswer
 from relocbench.evaluation.relocalization.basin import Basin
 from relocbench.evaluation.relocalization.pipeline import RIGHT, Retrieved, Tracked, errors_where_known
@@ -206,10 +206,10 @@ def retrieval_seconds(pipeline: Pipeline, task: str) -> Array | None:
     now = results.run_record()
     if (now.target, now.parameters, now.files, now.seed) != (ran.target, ran.parameters, ran.files, ran.seed):
         return None
-    seconds = {Path(answer.query).stem: answer.seconds for answer in ANSWERS.read(results.answers(task))}
+    seconds = {time_of_key(answer.query): answer.seconds for answer in ANSWERS.read(results.answers(task))}
     out = np.full(len(pipeline.answers[task]), np.nan)
     for row, answer in enumerate(pipeline.answers[task]):
-        known = seconds.get(str(answer.query_timestamp_ns))
+        known = seconds.get(answer.query_timestamp_ns)
         if known is not None and answer.seconds is not None and known <= answer.seconds + 1e-6:
             out[row] = known
     return out

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,13 +15,12 @@ import numpy as np
 from relocbench.arrays import Array, Floats
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.cross_view import CrossViewSet
-from relocbench.datasets.pairs.street_places import StreetPlaces
+from relocbench.datasets.pairs.street_places import StreetPlaces, time_of_key
 from relocbench.errors import PredictionError
 from relocbench.evaluation.relocalization.truth import MapTruth, distance_and_angle
-from relocbench.evaluation.retrieval.answers import QueryAnswer
+from relocbench.evaluation.retrieval.answers import QueryAnswer, list_lines
 from relocbench.evaluation.retrieval.rescoring import RetrievalTruth
 from relocbench.evaluation.tables.schema import STATUSES
-from relocbench.files import lines_of, read_text
 from relocbench.leaderboard.html.data import bytes_of, floats
 from relocbench.leaderboard.html.thumbnails import thumbnail_name
 from relocbench.leaderboard.retrieval.board import RetrievalSetBoard, Retriever
@@ -183,11 +181,7 @@ def kept_lists(asked: RetrievalSetBoard, method: Retriever, name: str) -> KeptLi
     path = method.folder.predictions(name)
     top: dict[str, list[str]] = {answer.query: [] for answer in answers}
     length = dict.fromkeys(top, 0)
-    text = read_text(path, "retrieved images, a line 'query db' each", PredictionError)
-    for number, line in enumerate(lines_of(text), start=1):
-        words = line.split()
-        if not words or line.startswith("#"):
-            continue
+    for number, words in list_lines(path):
         if len(words) != 2 or words[0] not in top:
             raise PredictionError("expected 'query db' with a query of the table beside it", path, number)
         length[words[0]] += 1
@@ -256,7 +250,9 @@ def distances_of(truth: RetrievalTruth | None, name: str) -> Distances | None:
         return Distances(task, np.stack([_lengths(gallery - centre) for centre in query]))
     if not pair_set.has_truth:
         return None
-    known = MapTruth(places.dataset, pair_set, *([time_of(view) for view in of] for of in (task.queries, task.gallery)))
+    known = MapTruth(
+        places.dataset, pair_set, *([time_of_key(view.key) for view in of] for of in (task.queries, task.gallery))
+    )
     rows = (distance_and_angle(known.relative(q))[0].astype(np.float32) for q in range(len(task.queries)))
     return Distances(task, np.stack(list(rows)))
 
@@ -266,12 +262,7 @@ def _lengths(vectors: Array) -> Floats:
     return np.asarray(np.linalg.norm(vectors, axis=-1), dtype=np.float32)
 
 
-def time_of(view: ImageView) -> int:
-    """The timestamp of an image of a drive, nanoseconds: the key is ``traversals/NAME/images/CAMERA/TIME.png``."""
-    return int(Path(view.key).stem)
-
-
 def _centres(places: StreetPlaces, traversal: str, camera: str, images: tuple[ImageView, ...]) -> Array:
     """(N, 3) camera centres in the world."""
     drive: Traversal = places.dataset.traversal(traversal)
-    return np.stack([drive.T_world_cam(camera, time_of(image))[:3, 3] for image in images])
+    return np.stack([drive.T_world_cam(camera, time_of_key(image.key))[:3, 3] for image in images])

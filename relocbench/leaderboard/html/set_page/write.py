@@ -33,7 +33,7 @@ def write_charts(board: Board, dataset: DatasetBoard, site: Path) -> set[Path]:
             places = maps.places(name, [(int(ref), int(query)) for ref, query in keys.tolist()])
             written.add(write_data(site, links.unit_key("maps", entry.record, name), places))
     probes = probes_of(dataset)
-    labels = {method.label for each in board.datasets for method in each.entry.methods}
+    labels = {method.label for method in board.methods}
     payload = {
         "drives": {name: [entry.pair_sets[name].reference, entry.pair_sets[name].query] for name in known},
         "worlds": None if maps is None else maps.worlds(),
