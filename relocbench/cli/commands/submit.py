@@ -217,5 +217,4 @@ def _print_checked(checked: Checked, *, quiet: bool) -> None:
             for r in checked.rows
         ]
         print_table("answers", columns, rows)
-    faults = len(found.faults)
-    print(f"{checked.root}: {'no fault' if not faults else '1 fault' if faults == 1 else f'{faults} faults'}")
+    print(f"{checked.root}: {found.count}")

@@ -42,25 +42,17 @@ def validate(
     kind, found = _check(path, dataset, quick, reporter(quiet))
     found = found.by_place()
     if json:
-        plain = {
-            name: [{"path": str(f.path) if f.path else None, "line": f.line, "message": f.message} for f in findings]
-            for name, findings in (("faults", found.faults), ("notes", found.notes))
-        }
         counts = {"faults": len(found.faults), "notes": len(found.notes)}
-        print_json({"path": str(path), "kind": kind, "valid": not found.faults, **plain}, counts)
+        print_json({"path": str(path), "kind": kind, "valid": not found.faults, **found.to_dict()}, counts)
     else:
         for finding in found.faults:
             print(finding)
         if not quiet:
             for finding in found.notes:
                 print(f"note: {finding}")
-        print(f"{path}: {_count(len(found.faults))} ({kind})")
+        print(f"{path}: {found.count} ({kind})")
     if found.faults:
         raise typer.Exit(USER_ERROR)
-
-
-def _count(faults: int) -> str:
-    return {0: "no fault", 1: "1 fault"}.get(faults, f"{faults} faults")
 
 
 def _check(path: Path, dataset: Path | None, quick: bool, reporter: Reporter) -> tuple[str, Findings]:

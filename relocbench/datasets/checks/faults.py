@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -86,6 +86,18 @@ class Findings:
     def by_place(self) -> Findings:
         """The same findings, grouped by file and in the order of lines."""
         return Findings(_by_place(self.faults), _by_place(self.notes))
+
+    def to_dict(self) -> dict[str, list[dict[str, Any]]]:
+        """The faults and the notes as plain values for scripts."""
+        return {
+            name: [{"path": str(f.path) if f.path else None, "line": f.line, "message": f.message} for f in findings]
+            for name, findings in (("faults", self.faults), ("notes", self.notes))
+        }
+
+    @property
+    def count(self) -> str:
+        """How many faults there are, in words."""
+        return {0: "no fault", 1: "1 fault"}.get(len(self.faults), f"{len(self.faults)} faults")
 
     @property
     def faulty_files(self) -> set[Path]:

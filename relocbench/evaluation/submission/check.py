@@ -64,18 +64,13 @@ class Checked:
 
     def to_dict(self) -> dict[str, Any]:
         """Everything that was found, as plain values for scripts."""
-        found = self.found.by_place()
-        listed = {
-            name: [{"path": str(f.path) if f.path else None, "line": f.line, "message": f.message} for f in findings]
-            for name, findings in (("faults", found.faults), ("notes", found.notes))
-        }
         return {
             "submission": str(self.root),
             "valid": self.sound,
             "card": None if self.card is None else self.card.model_dump(mode="json"),
             "answers": [vars(row) for row in self.rows],
             "suspicions": self.suspicions,
-            **listed,
+            **self.found.by_place().to_dict(),
         }
 
 
