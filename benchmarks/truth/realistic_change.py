@@ -58,7 +58,7 @@ from relocbench.datasets.synthetic.conditions.condition import CONDITIONS, Facto
 from relocbench.datasets.synthetic.conditions.presets import conditions_of
 from relocbench.datasets.synthetic.drives.drive import DriveStyle
 from relocbench.datasets.synthetic.drives.rig import rig_named
-from relocbench.datasets.synthetic.jobs.plan import TraversalPlan, make_plans
+from relocbench.datasets.synthetic.jobs.plan import AskedDrives, TraversalPlan, make_plans
 from relocbench.datasets.synthetic.jobs.rendering import render_all
 from relocbench.errors import ConfigError
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
@@ -242,8 +242,8 @@ def planned(given: argparse.Namespace, names: list[str], variants: list[Variant]
     conditions = conditions_of(every, {v.name: v.factors for v in variants}, None, 2)
     style = DriveStyle(given.speed, given.lateral, given.heading)
     plans = make_plans(
-        (given.split,), conditions, 2, given.steps, style, seed=given.seed, extent_m=_EXTENT_M, reporter=Silent(),
-        rig=rig_named(CAMERA), size=(width, height),
+        AskedDrives((given.split,), conditions, 2, given.seed), given.steps, style,
+        extent_m=_EXTENT_M, reporter=Silent(), rig=rig_named(CAMERA), size=(width, height),
     )  # fmt: skip
     found = {plan.name: plan for plan in plans}
     for v in variants:

@@ -37,7 +37,7 @@ from relocbench.datasets.synthetic.conditions.condition import CONDITIONS, Facto
 from relocbench.datasets.synthetic.conditions.presets import conditions_of
 from relocbench.datasets.synthetic.drives.drive import DriveStyle
 from relocbench.datasets.synthetic.jobs import scenes
-from relocbench.datasets.synthetic.jobs.plan import TraversalPlan, make_plans
+from relocbench.datasets.synthetic.jobs.plan import AskedDrives, TraversalPlan, make_plans
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.town.mesh import Mesh
 from relocbench.datasets.synthetic.town.moving import moves
@@ -161,11 +161,8 @@ class Scenes:
         if {k: c.factors for k, c in named.items()} != factors:
             raise RuntimeError("the dataset was made with other conditions than this version has")
         style = DriveStyle(made["speed"], made["lateral"], made["heading"])
-        splits = (made["split"],)
-        plans = make_plans(
-            splits, named, made["traversals"], made["steps"], style, seed=self._seed, extent_m=self._extent,
-            reporter=Silent(),
-        )  # fmt: skip
+        asked = AskedDrives((made["split"],), named, made["traversals"], self._seed)
+        plans = make_plans(asked, made["steps"], style, extent_m=self._extent, reporter=Silent())
         self._plans: dict[str, TraversalPlan] = {plan.name: plan for plan in plans}
 
     def eye(self, traversal: str, camera: str, timestamp_ns: int) -> Eye:

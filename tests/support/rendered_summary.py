@@ -16,7 +16,7 @@ from relocbench.datasets.core.pairfile import TRUTH_DECIMALS, pose_fields
 from relocbench.datasets.synthetic.conditions.presets import conditions_of
 from relocbench.datasets.synthetic.drives.drive import DriveStyle
 from relocbench.datasets.synthetic.jobs import scenes
-from relocbench.datasets.synthetic.jobs.plan import make_plans
+from relocbench.datasets.synthetic.jobs.plan import AskedDrives, make_plans
 from relocbench.datasets.synthetic.renderer.revision import RENDERER_REVISION
 from relocbench.geometry import Camera, make_transform, so3_exp
 from relocbench.progress import Silent
@@ -30,12 +30,9 @@ _CONDITIONS = ("Sunny", "Rain", "Snow", "Night")
 def summary() -> dict[str, Any]:
     """Revision, and for each condition the second pose of a drive, mean colours of blocks and median depths of them."""
     plans = make_plans(
-        ("test",),
-        conditions_of(_CONDITIONS, {}, None, 0),
-        1,
+        AskedDrives(("test",), conditions_of(_CONDITIONS, {}, None, 0), 1, 3),
         3,
         DriveStyle(heading_deg=4.0),
-        seed=3,
         extent_m=190.0,
         reporter=Silent(),
     )

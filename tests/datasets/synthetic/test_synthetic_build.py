@@ -30,7 +30,7 @@ from relocbench.datasets.synthetic.drives.traffic import on_the_road
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.estimates import Spent, duration
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs
-from relocbench.datasets.synthetic.jobs.plan import evaluated_drives, make_plans
+from relocbench.datasets.synthetic.jobs.plan import AskedDrives, evaluated_drives, make_plans
 from relocbench.datasets.synthetic.jobs.rendering import FrameWork, RenderUnit, StepWork, estimate, extra_path
 from relocbench.datasets.synthetic.renderer.render import Renderer
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
@@ -363,7 +363,7 @@ def test_a_frame_is_the_same_when_rendered_on_its_own(town: Dataset, wet: Mesh, 
     first, _, third, _ = traversal.timestamps("front")
     number = int(first // 10**12 - 1)
     conditions = conditions_of(("Neutral", "WetNoon"), {}, None, 2)
-    _, plan = make_plans(("test",), conditions, 1, 4, DriveStyle(), seed=0, extent_m=190.0, reporter=Silent())
+    _, plan = make_plans(AskedDrives(("test",), conditions, 1, 0), 4, DriveStyle(), extent_m=190.0, reporter=Silent())
     still = Renderer(wet, condition_named("WetNoon").factors, scenes.district(PLACE).lamps, PLACE.seed)
     alone = still.with_moving(moving_mesh(plan.moving[2]))
     T_world_cam = traversal.T_world_cam("front", third)
@@ -418,9 +418,8 @@ def test_pair_sets_are_those_that_were_asked_for() -> None:
     conditions = conditions_of(("Neutral", "Rain"), {}, None, 2)
 
     def count(traversals: int, reference: References = "first", pair_rule: str | None = None) -> int:
-        plans = make_plans(
-            ("test",), conditions, traversals, 3, DriveStyle(), seed=0, extent_m=190.0, reporter=Silent()
-        )
+        asked = AskedDrives(("test",), conditions, traversals, 0)
+        plans = make_plans(asked, 3, DriveStyle(), extent_m=190.0, reporter=Silent())
         return len(evaluated_drives(plans, references=reference, traversals=traversals, pair_rule=pair_rule))
 
     assert count(1) == 2

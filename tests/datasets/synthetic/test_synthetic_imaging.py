@@ -24,7 +24,7 @@ from relocbench.datasets.synthetic.conditions.imaging import Imaging
 from relocbench.datasets.synthetic.conditions.presets import conditions_of, previewed
 from relocbench.datasets.synthetic.drives.drive import DriveStyle
 from relocbench.datasets.synthetic.drives.rig import rig_named
-from relocbench.datasets.synthetic.jobs.plan import drive_cameras, make_plans
+from relocbench.datasets.synthetic.jobs.plan import AskedDrives, drive_cameras, make_plans
 from relocbench.datasets.synthetic.jobs.rendering import RenderUnit, missing_steps, render_unit
 from relocbench.errors import ConfigError
 from relocbench.execution import Run
@@ -114,28 +114,31 @@ def test_the_recipe_says_which_camera_each_drive_had(varied: Dataset) -> None:
     assert cameras[0] != cameras[1]
     assert varied.file.made_by["imaging"] == recipe["imaging"]
     conditions = conditions_of(("Neutral",), {}, None, 2)
-    assert drive_cameras(("test",), conditions, 2, seed=0, varied=True) == dict(zip(NAMES, cameras, strict=True))
+    assert drive_cameras(AskedDrives(("test",), conditions, 2, 0), varied=True) == dict(
+        zip(NAMES, cameras, strict=True)
+    )
 
 
 def test_the_camera_of_a_drive_depends_on_the_seed_and_not_on_what_else_is_built() -> None:
     conditions = conditions_of(("Neutral", "Night"), {}, None, 2)
-    everything = drive_cameras(("train", "validation", "test"), conditions, 2, seed=3, varied=True)
+    everything = drive_cameras(AskedDrives(("train", "validation", "test"), conditions, 2, 3), varied=True)
     assert len(set(everything.values())) == len(everything) == 12
-    alone = drive_cameras(("validation",), conditions, 1, seed=3, varied=True)
+    alone = drive_cameras(AskedDrives(("validation",), conditions, 1, 3), varied=True)
     assert alone.items() <= everything.items()
-    assert drive_cameras(("validation",), conditions, 1, seed=4, varied=True).items().isdisjoint(alone.items())
-    assert drive_cameras(("train",), conditions, 2, seed=3, varied=False) == {}
+    other = drive_cameras(AskedDrives(("validation",), conditions, 1, 4), varied=True)
+    assert other.items().isdisjoint(alone.items())
+    assert drive_cameras(AskedDrives(("train",), conditions, 2, 3), varied=False) == {}
     assert everything["test-Night-0"].exposure_ms >= 8
 
 
 def test_a_frame_alone_in_another_process_has_the_same_bytes(varied: Dataset, tmp_path: Path) -> None:
     """The unit of work as another process unpickles it, for the last frame only."""
     conditions = conditions_of(("Neutral",), {}, None, 2)
-    own = drive_cameras(("test",), conditions, 2, seed=0, varied=True)
+    asked = AskedDrives(("test",), conditions, 2, 0)
+    own = drive_cameras(asked, varied=True)
     plan = make_plans(
-        ("test",), conditions, 2, 2, DriveStyle(), seed=0, extent_m=190.0, reporter=Silent(),
-        rig=rig_named("front"), size=(48, 48), imaging=own,
-    )[1]  # fmt: skip
+        asked, 2, DriveStyle(), extent_m=190.0, reporter=Silent(), rig=rig_named("front"), size=(48, 48), imaging=own
+    )[1]
     layout = type(varied.layout)(tmp_path / "alone")
     step = missing_steps(plan, layout, 0, ())[-1]
     factors = plan.condition.factors
@@ -171,7 +174,7 @@ def test_a_condition_keeps_the_camera_that_it_sets() -> None:
     sharp = Factors(imaging=Imaging(sharpening=2.0))
     conditions = conditions_of(("Neutral", "Sharp"), {"Sharp": sharp}, None, 2)
     for varied in (False, True):
-        cameras = drive_cameras(("test",), conditions, 1, seed=0, varied=varied)
+        cameras = drive_cameras(AskedDrives(("test",), conditions, 1, 0), varied=varied)
         assert cameras["test-Sharp-0"] == sharp.imaging
         assert ("test-Neutral-0" in cameras) == varied
 

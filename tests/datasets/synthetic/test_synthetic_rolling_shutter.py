@@ -16,7 +16,7 @@ from relocbench.datasets.importers.rendered import dataset as synthetic
 from relocbench.datasets.synthetic.camera.rolling_shutter import Readout, rolling, row_poses, sources
 from relocbench.datasets.synthetic.conditions.presets import conditions_of
 from relocbench.datasets.synthetic.drives.drive import DriveStyle
-from relocbench.datasets.synthetic.jobs.plan import make_plans
+from relocbench.datasets.synthetic.jobs.plan import AskedDrives, make_plans
 from relocbench.execution import Run
 from relocbench.geometry import Camera
 from relocbench.progress import Silent
@@ -84,8 +84,8 @@ def test_the_readout_stands_in_the_traversals_file_and_nothing_does_without() ->
     conditions = conditions_of(("Sunny",), {}, None, 2)
 
     def described(readout_s: float) -> TraversalFile:
-        asked = ("test",), conditions, 1, 2, DriveStyle()
-        return make_plans(*asked, seed=0, extent_m=190.0, reporter=Silent(), readout_s=readout_s)[0].file()
+        asked = AskedDrives(("test",), conditions, 1, 0), 2, DriveStyle()
+        return make_plans(*asked, extent_m=190.0, reporter=Silent(), readout_s=readout_s)[0].file()
 
     plain, rolled = described(0.0), described(0.02)
     assert plain.clock is None

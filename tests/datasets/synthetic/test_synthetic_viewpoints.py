@@ -17,7 +17,7 @@ from relocbench.datasets.synthetic.conditions.presets import conditions_of
 from relocbench.datasets.synthetic.drives.drive import DriveStyle
 from relocbench.datasets.synthetic.drives.routes import RouteName
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs, nearest_miss
-from relocbench.datasets.synthetic.jobs.plan import TraversalPlan, evaluated_drives, make_plans
+from relocbench.datasets.synthetic.jobs.plan import AskedDrives, TraversalPlan, evaluated_drives, make_plans
 from relocbench.geometry import apply, invert, make_transform, so3_exp
 from relocbench.progress import Silent
 
@@ -73,9 +73,8 @@ def test_where_keyframes_are_near_enough_but_see_nothing_that_is_told() -> None:
 
 def planned(*routes: RouteName, traversals: int = 1) -> dict[str, TraversalPlan]:
     conditions = conditions_of(("Neutral", "Rain"), {}, None, 2)
-    found = make_plans(
-        ("test",), conditions, traversals, 8, DriveStyle(), seed=0, extent_m=190.0, reporter=Silent(), routes=routes
-    )
+    asked = AskedDrives(("test",), conditions, traversals, 0, routes)
+    found = make_plans(asked, 8, DriveStyle(), extent_m=190.0, reporter=Silent())
     return {plan.name: plan for plan in found}
 
 

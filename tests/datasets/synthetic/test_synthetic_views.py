@@ -26,7 +26,7 @@ from relocbench.datasets.synthetic.conditions.views import CameraView, draw_view
 from relocbench.datasets.synthetic.drives.drive import DriveStyle
 from relocbench.datasets.synthetic.drives.rig import RIGS, rig_named
 from relocbench.datasets.synthetic.jobs import scenes
-from relocbench.datasets.synthetic.jobs.plan import drive_views, make_plans
+from relocbench.datasets.synthetic.jobs.plan import AskedDrives, drive_views, make_plans
 from relocbench.datasets.synthetic.jobs.rendering import RenderUnit, missing_steps, render_unit
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.renderer.samples import View, ray
@@ -102,15 +102,15 @@ def test_correspondences_lie_where_the_stated_cameras_see_them(varied: Dataset) 
 def test_a_drawn_view_depends_on_the_seed_and_not_on_what_else_is_built() -> None:
     conditions = conditions_of(("Neutral", "Night"), {}, None, 2)
     size = 320, 240
-    everything = drive_views(("train", "validation", "test"), conditions, 2, "varied", seed=3, size=size)
+    everything = drive_views(AskedDrives(("train", "validation", "test"), conditions, 2, 3), "varied", size)
     assert len(everything) == len(set(everything.values())) == 9
     assert not {f"{split}-Neutral-0" for split in ("train", "validation", "test")} & everything.keys()
-    alone = drive_views(("validation",), conditions, 1, "varied", seed=3, size=size)
+    alone = drive_views(AskedDrives(("validation",), conditions, 1, 3), "varied", size)
     assert alone.items() <= everything.items()
     assert list(alone) == ["validation-Night-0"]
-    other = drive_views(("validation",), conditions, 1, "varied", seed=4, size=size)
+    other = drive_views(AskedDrives(("validation",), conditions, 1, 4), "varied", size)
     assert other["validation-Night-0"] != alone["validation-Night-0"]
-    assert drive_views(("train",), conditions, 2, "same", seed=3, size=size) == {}
+    assert drive_views(AskedDrives(("train",), conditions, 2, 3), "same", size) == {}
 
 
 def test_drawn_views_fill_their_ranges() -> None:
@@ -153,11 +153,9 @@ def test_a_view_moves_all_cameras_of_a_rig_as_one_body() -> None:
 def test_a_frame_alone_in_another_process_has_the_same_bytes(varied: Dataset, tmp_path: Path) -> None:
     """The unit of work as another process unpickles it, for the last frame only."""
     conditions = conditions_of(("Neutral",), {}, None, 2)
-    views = drive_views(("test",), conditions, 2, "varied", seed=0, size=(64, 48))
-    plan = make_plans(
-        ("test",), conditions, 2, 2, DriveStyle(), seed=0, extent_m=190.0, reporter=Silent(),
-        size=(64, 48), views=views,
-    )[1]  # fmt: skip
+    asked = AskedDrives(("test",), conditions, 2, 0)
+    views = drive_views(asked, "varied", (64, 48))
+    plan = make_plans(asked, 2, DriveStyle(), extent_m=190.0, reporter=Silent(), size=(64, 48), views=views)[1]
     layout = type(varied.layout)(tmp_path / "alone")
     step = missing_steps(plan, layout, 0, ("normals",))[-1]
     factors = plan.condition.factors

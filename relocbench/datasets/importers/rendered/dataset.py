@@ -39,6 +39,7 @@ from relocbench.progress import Reporter
 if TYPE_CHECKING:
     from relocbench.datasets.core.dataset import Dataset
     from relocbench.datasets.core.recording_folder import RecordingFolder
+    from relocbench.datasets.synthetic.jobs.plan import AskedDrives
 
 
 _RECORDING_FRAMES = 160
@@ -254,6 +255,13 @@ def _conditions(options: Options) -> dict[str, NamedCondition]:
     return conditions_of(options.conditions, options.factors, *swept, options.traffic, options.months, options.people)
 
 
+def _asked(options: Options, conditions: dict[str, NamedCondition]) -> AskedDrives:
+    from relocbench.datasets.synthetic.jobs.plan import AskedDrives
+
+    splits = SPLITS if options.split == "all" else (options.split,)
+    return AskedDrives(splits, conditions, options.traversals, options.seed, options.route)
+
+
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
     """Render a dataset.
 
@@ -290,31 +298,23 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     record["factors"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}
     options = salted(options, options.split, record, out, reporter)
     check_routes(options.route)
-    splits = SPLITS if options.split == "all" else (options.split,)
-    varied = options.imaging == "varied"
-    own = drive_cameras(splits, conditions, options.traversals, seed=options.seed, varied=varied, routes=options.route)
-    if varied:
+    asked = _asked(options, conditions)
+    own = drive_cameras(asked, varied=options.imaging == "varied")
+    if options.imaging == "varied":
         record["imaging"] = {name: imaging.model_dump(mode="json") for name, imaging in own.items()}
-    views = drive_views(
-        splits, conditions, options.traversals, options.views,
-        seed=options.seed, size=options.width_height, routes=options.route,
-    )  # fmt: skip
+    views = drive_views(asked, options.views, options.width_height)
     if views:
         record["views"] = {name: view.model_dump(mode="json", exclude_none=True) for name, view in views.items()}
     writer = DatasetWriter(out, options.name or f"synthetic-{options.preset}", record, options.licence)
     plans = make_plans(
-        splits,
-        conditions,
-        options.traversals,
+        asked,
         options.steps,
         DriveStyle(options.speed, options.lateral, options.heading),
-        seed=options.seed,
         extent_m=options.extent,
         reporter=reporter,
         rig=rig_named(options.cameras),
         size=options.width_height,
         imaging=own,
-        routes=options.route,
         views=views,
         depth=MapDepth(options.depth, options.depth_points, options.depth_error, options.rings),
         readout_s=options.rolling_shutter,
@@ -380,16 +380,7 @@ def record(
     settings = {"kind": "synthetic", "licence": "CC0-1.0", **options.model_dump(mode="json", exclude=unused)}
     settings["conditions"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}
     check_folder(out, settings)
-    drives = plan_drives(
-        SPLITS if options.split == "all" else (options.split,),
-        tuple(conditions),
-        options.route,
-        options.traversals,
-        each.path_length_m,
-        seed=options.seed,
-        extent_m=options.extent,
-        reporter=reporter,
-    )
+    drives = plan_drives(_asked(options, conditions), each.path_length_m, options.extent, reporter)
     return record_all(drives, conditions, each, out, settings, reporter, run)
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import chain, product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,7 +44,7 @@ class TraversalPlan:
 
     name: str
     number: int
-    """number in the order of (split, condition, route, traversal), on which seeds depend"""
+    """as in :class:`AskedDrive`"""
     split: str
     place: DistrictSpec
     condition: NamedCondition
@@ -98,44 +99,59 @@ class TraversalPlan:
         return PosedFrames(self.times, self.drive.T_world_rig @ self.cameras[camera][1], frozenset(self.times))
 
 
-def traversal_name(split: str, condition: str, route: RouteName, number: int) -> str:
-    """The name of a traversal, which names its route unless it is the common one."""
-    return "-".join([split, condition, *([] if route == "common" else [route]), str(number)])
+class AskedDrive(NamedTuple):
+    """One traversal that is to be planned."""
+
+    name: str
+    """which names its route unless it is the common one"""
+    number: int
+    """in the order of (split, condition, route, traversal), on which seeds depend"""
+    drawn_by: tuple[int, ...]
+    """what its random choices depend on beside the seed; not which other splits and routes are built with it"""
+    split: str
+    condition: str
+    route: RouteName
+    traversal: int
+    """number among those in the condition on the route"""
 
 
-def drive_cameras(
-    splits: Sequence[str],
-    conditions: Mapping[str, NamedCondition],
-    traversals: int,
-    *,
-    seed: int,
-    varied: bool,
-    routes: Sequence[RouteName] = ("common",),
-) -> dict[str, Imaging]:
+@dataclass(frozen=True)
+class AskedDrives:
+    """What is driven: in each split's district, in each condition, on each route, some traversals."""
+
+    splits: Sequence[str]
+    conditions: Mapping[str, NamedCondition]
+    traversals: int
+    seed: int
+    routes: Sequence[RouteName] = ("common",)
+
+    def of(self, split: str) -> Iterator[AskedDrive]:
+        """The drives in one district; the first is its reference."""
+        at = SPLITS.index(split)
+        everything = product(enumerate(self.conditions), enumerate(self.routes), range(self.traversals))
+        for (k, condition), (r, way), n in everything:
+            others = [] if way == "common" else [way]
+            name = "-".join([split, condition, *others, str(n)])
+            number = ((at * len(self.conditions) + k) * len(self.routes) + r) * self.traversals + n
+            yield AskedDrive(name, number, (at, k, n, *map(ROUTES.index, others)), split, condition, way, n)
+
+
+def drive_cameras(asked: AskedDrives, *, varied: bool) -> dict[str, Imaging]:
     """The cameras of traversals that have one of their own, by name: their condition's or, if ``varied``, a drawn one.
 
     The camera of a traversal does not depend on which other splits and routes are built with it.
     """
     found = {}
-    for at, (split, name, way, number) in _each(splits, conditions, routes, traversals):
-        imaging = conditions[name].factors.imaging
-        if imaging is None and varied:
-            imaging = draw_imaging(np.random.default_rng([seed, 9, *at]), dark=conditions[name].factors.dark)
-        if imaging is not None:
-            found[traversal_name(split, name, way, number)] = imaging
+    for one in chain.from_iterable(map(asked.of, asked.splits)):
+        factors = asked.conditions[one.condition].factors
+        if factors.imaging is not None:
+            found[one.name] = factors.imaging
+        elif varied:
+            found[one.name] = draw_imaging(np.random.default_rng([asked.seed, 9, *one.drawn_by]), dark=factors.dark)
     return found
 
 
-def drive_views(
-    splits: Sequence[str],
-    conditions: Mapping[str, NamedCondition],
-    traversals: int,
-    views: Views,
-    *,
-    seed: int,
-    size: tuple[int, int],
-    routes: Sequence[RouteName] = ("common",),
-) -> dict[str, CameraView]:
+def drive_views(asked: AskedDrives, views: Views, size: tuple[int, int]) -> dict[str, CameraView]:
     """The views of traversals that have one of their own, by name: their condition's or, if ``varied``, a drawn one.
 
     A drawn view does not depend on which other splits and routes are built. The reference traversal of a split has no
@@ -152,46 +168,27 @@ def drive_views(
         return found
     by_hand = views if isinstance(views, dict) else {}
     for name in by_hand:
-        if name not in conditions:
-            raise ConfigError(f"views: no condition '{name}'{available(name, conditions)}")
-    reference = next(iter(conditions)), routes[0], 0
-    for at, (split, name, way, number) in _each(splits, conditions, routes, traversals):
-        if name in by_hand:
-            found[traversal_name(split, name, way, number)] = by_hand[name]
-        elif views == "varied" and (name, way, number) != reference:
-            drawn = draw_view(np.random.default_rng([seed, 57, *at]), size)
-            found[traversal_name(split, name, way, number)] = drawn
+        if name not in asked.conditions:
+            raise ConfigError(f"views: no condition '{name}'{available(name, asked.conditions)}")
+    for split in asked.splits:
+        for k, one in enumerate(asked.of(split)):
+            if one.condition in by_hand:
+                found[one.name] = by_hand[one.condition]
+            elif views == "varied" and k > 0:
+                found[one.name] = draw_view(np.random.default_rng([asked.seed, 57, *one.drawn_by]), size)
     return found
 
 
-def _each(
-    splits: Sequence[str], conditions: Mapping[str, NamedCondition], routes: Sequence[RouteName], traversals: int
-) -> Iterator[tuple[list[int], tuple[str, str, RouteName, int]]]:
-    """What is drawn by beside the seed, and split, condition, route and number within these, of each traversal."""
-    for split, (k, name), way, number in product(splits, enumerate(conditions), routes, range(traversals)):
-        yield _drawn_by(split, k, way, number), (split, name, way, number)
-
-
-def _drawn_by(split: str, condition: int, route: RouteName, number: int) -> list[int]:
-    """What the random choices of a traversal depend on beside the seed."""
-    on_other_route = [] if route == "common" else [ROUTES.index(route)]
-    return [SPLITS.index(split), condition, number, *on_other_route]
-
-
 def make_plans(
-    splits: Sequence[str],
-    conditions: Mapping[str, NamedCondition],
-    traversals: int,
+    asked: AskedDrives,
     steps: int,
     style: DriveStyle,
     *,
-    seed: int,
     extent_m: float,
     reporter: Reporter,
     rig: Rig = RIGS["front"],
     size: tuple[int, int] = (320, 240),
     imaging: Mapping[str, Imaging] | None = None,
-    routes: Sequence[RouteName] = ("common",),
     views: Mapping[str, CameraView] | None = None,
     depth: MapDepth = EXACT,
     readout_s: float = 0.0,
@@ -213,27 +210,24 @@ def make_plans(
     """
     plans = []
     imaging, views = imaging or {}, views or {}
-    scene = {name: c.model_copy(update={"factors": c.factors.scene}) for name, c in conditions.items()}
+    scene = {name: c.model_copy(update={"factors": c.factors.scene}) for name, c in asked.conditions.items()}
     first = next(iter(scene.values()))
-    with reporter.stage("laying out districts", len(splits)) as advance:
-        for split in splits:
-            place = DistrictSpec(seed, split, extent_m)
+    with reporter.stage("laying out districts", len(asked.splits)) as advance:
+        for split in asked.splits:
+            place = DistrictSpec(asked.seed, split, extent_m)
             town, needed = scenes.district(place), route_length(steps, style)
-            paths = {name: route(town.network, town.periodic.street, name, needed, seed) for name in routes}
-            for k, (name, condition) in enumerate(scene.items()):
-                for r, number in product(range(len(routes)), range(traversals)):
-                    path = paths[routes[r]]
-                    identity = ((SPLITS.index(split) * len(conditions) + k) * len(routes) + r) * traversals + number
-                    own = traversal_name(split, name, routes[r], number)
-                    rng = np.random.default_rng([seed, 5, *_drawn_by(split, k, routes[r], number)])
-                    driven = drive(path, steps, style, rng)
-                    look, view = imaging.get(own), views.get(own)
-                    cameras = rig.cameras(*size, view)
-                    for camera, _ in cameras.values():
-                        check_reach(depth, camera)
-                    moving = all_that_moves(town.footpaths, path, driven, condition.factors, rng)
-                    plan = (own, identity, split, place, condition, first, cameras, driven, moving, look, view)
-                    plans.append(TraversalPlan(*plan, depth, readout_s))
+            paths = {r: route(town.network, town.periodic.street, r, needed, asked.seed) for r in asked.routes}
+            for one in asked.of(split):
+                path, condition = paths[one.route], scene[one.condition]
+                rng = np.random.default_rng([asked.seed, 5, *one.drawn_by])
+                driven = drive(path, steps, style, rng)
+                look, view = imaging.get(one.name), views.get(one.name)
+                cameras = rig.cameras(*size, view)
+                for camera, _ in cameras.values():
+                    check_reach(depth, camera)
+                moving = all_that_moves(town.footpaths, path, driven, condition.factors, rng)
+                plan = (one.name, one.number, split, place, condition, first, cameras, driven, moving, look, view)
+                plans.append(TraversalPlan(*plan, depth, readout_s))
             advance(1)
     for name, times in Counter(plan.name for plan in plans).items():
         if times > 1:

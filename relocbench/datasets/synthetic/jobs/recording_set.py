@@ -16,7 +16,8 @@ import numpy as np
 from relocbench.datasets.core.recording_folder import RecordedDrive, RecordingFolder
 from relocbench.datasets.core.writer import check_same_options
 from relocbench.datasets.synthetic.conditions.condition import NamedCondition
-from relocbench.datasets.synthetic.drives.routes import RouteName, route
+from relocbench.datasets.synthetic.drives.routes import route
+from relocbench.datasets.synthetic.jobs.plan import AskedDrive, AskedDrives
 from relocbench.datasets.synthetic.jobs.recording import DriveOptions, prepare
 from relocbench.datasets.synthetic.jobs.recording_jobs import DriveJob, carry_out
 from relocbench.datasets.synthetic.layouts.recorded import Layout, TrueTrajectory
@@ -35,41 +36,26 @@ _DRIVES = "drives.csv"
 class PlannedDrive:
     """One drive, before it is recorded."""
 
-    split: str
-    condition: str
-    route: RouteName
-    traversal: int
+    asked: AskedDrive
     number: int
     """number among all drives of the folder"""
     district: District
     path: Route
 
 
-def plan_drives(
-    splits: Sequence[str],
-    conditions: Sequence[str],
-    routes: Sequence[RouteName],
-    traversals: int,
-    length_m: float,
-    *,
-    seed: int,
-    extent_m: float,
-    reporter: Reporter,
-) -> list[PlannedDrive]:
+def plan_drives(asked: AskedDrives, length_m: float, extent_m: float, reporter: Reporter) -> list[PlannedDrive]:
     """Plan the drives, ordered by split, condition, route and traversal.
 
     Raises:
         ConfigError: a district has no such route of this length.
     """
     drives: list[PlannedDrive] = []
-    with reporter.stage("laying out districts", len(splits)) as advance:
-        for split in splits:
-            town = make_district(seed, split, extent_m)
-            paths = {name: route(town.network, town.periodic.street, name, length_m, seed) for name in routes}
-            for condition in conditions:
-                for name, path in paths.items():
-                    for k in range(traversals):
-                        drives.append(PlannedDrive(split, condition, name, k, len(drives), town, path))
+    with reporter.stage("laying out districts", len(asked.splits)) as advance:
+        for split in asked.splits:
+            town = make_district(asked.seed, split, extent_m)
+            paths = {r: route(town.network, town.periodic.street, r, length_m, asked.seed) for r in asked.routes}
+            for one in asked.of(split):
+                drives.append(PlannedDrive(one, len(drives), town, paths[one.route]))
             advance(1)
     return drives
 
@@ -101,7 +87,8 @@ def record_all(
         rows: list[RecordedDrive] = []
         with reporter.stage("planning drives", len(drives)) as advance:
             for drive in drives:
-                factors = conditions[drive.condition].factors
+                asked = drive.asked
+                factors = conditions[asked.condition].factors
                 recorded, job = prepare(drive.district, drive.path, factors, out, replace(options, number=drive.number))
                 jobs.append(job)
                 layout = job.drive.layout
@@ -109,10 +96,10 @@ def record_all(
                     RecordedDrive(
                         recorded.name,
                         str(recorded.folder.relative_to(out.resolve())),
-                        drive.split,
-                        drive.condition,
-                        drive.route,
-                        drive.traversal,
+                        asked.split,
+                        asked.condition,
+                        asked.route,
+                        asked.traversal,
                         sum(len(layout.times[name]) for name in layout.cameras),
                         sum(len(layout.times[name]) for name in layout.lidars),
                         round(driven_m(job.drive.trajectory, layout), 1),
