@@ -13,8 +13,13 @@ from relocbench.datasets.synthetic.camera import processing
 from relocbench.datasets.synthetic.camera.drops import sliding_drops, through_drops
 from relocbench.datasets.synthetic.camera.lens import behind_dirt, clearness, defocus, disk, scatter, vignette
 from relocbench.datasets.synthetic.camera.motion_blur import blur_along, image_velocity, motion_blur
-from relocbench.datasets.synthetic.camera.photograph import exposure_ev, grey_levels, temperature_ev, through_lens
-from relocbench.datasets.synthetic.camera.sensor import with_noise
+from relocbench.datasets.synthetic.camera.photograph import (
+    exposure_ev,
+    grey_levels,
+    temperature_ev,
+    through_lens,
+    with_noise,
+)
 from relocbench.datasets.synthetic.camera.shot import Drifting, Shot, camera_twists, drift
 from relocbench.datasets.synthetic.conditions.imaging import DARK_RANGES, RANGES, Imaging, Range, draw_imaging
 from relocbench.geometry import Camera, apply, invert, se3_exp

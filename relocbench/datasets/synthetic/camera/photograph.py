@@ -9,7 +9,6 @@ from relocbench.datasets.core.images import through_jpeg
 from relocbench.datasets.synthetic.camera import processing
 from relocbench.datasets.synthetic.camera.drops import sliding_drops, through_drops
 from relocbench.datasets.synthetic.camera.lens import behind_dirt, clearness, defocus, scatter, vignette
-from relocbench.datasets.synthetic.camera.sensor import with_noise
 from relocbench.datasets.synthetic.camera.shot import Drifting, Shot, drift
 
 
@@ -39,6 +38,18 @@ def temperature_ev(shot: Shot) -> float:
     camera = shot.imaging
     wandered = drift(camera.seed, Drifting.WHITE_BALANCE, shot.time_s)
     return camera.temperature_ev + camera.white_balance_drift_ev * wandered
+
+
+def with_noise(light: Floats, read: float, shot: float, rng: np.random.Generator) -> Floats:
+    """Linear light (H, W, 3), on a scale on which 1 is the least light that a linear sensor saturates at, with noise.
+
+    The variance is ``read^2 + shot^2 I`` (Foi et al., "Practical Poissonian-Gaussian noise modeling", 2008). Values
+    below 0 are kept, so that the mean stays that of the light.
+    """
+    if read <= 0 and shot <= 0:
+        return light
+    deviation = np.sqrt(np.float32(read**2) + np.float32(shot**2) * np.maximum(light, 0))
+    return np.asarray(light + deviation * rng.standard_normal(light.shape, dtype=np.float32), dtype=np.float32)
 
 
 def grey_levels(light: Floats, shot: Shot, rng: np.random.Generator) -> Image:
