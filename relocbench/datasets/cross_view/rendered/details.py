@@ -19,6 +19,7 @@ from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, me
 from relocbench.datasets.synthetic.town.raycast import NOTHING, Scene
 from relocbench.datasets.synthetic.town.shapes import Shape, boxes, instances, join, quads
 from relocbench.datasets.synthetic.town.town import District
+from relocbench.geometry import make_transform
 
 _FROM_M = 80.0
 """height at which rays begin, above all roofs"""
@@ -156,10 +157,7 @@ def _place(
 def _frame(middle: Array, height: float, along: Array, normal: Array) -> Array:
     """T_world_detail (4, 4): x along the given direction, z along the plane's normal."""
     x = np.array([*along, 0.0])
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([x, np.cross(normal, x), normal], axis=1)
-    pose[:3, 3] = *middle, height
-    return pose
+    return make_transform(np.stack([x, np.cross(normal, x), normal], axis=1), [*middle, height])
 
 
 def _slab(a: float, b: float, low: float, high: float, material: Material) -> Shape:

@@ -13,7 +13,7 @@ import numpy as np
 from relocbench.arrays import Array
 from relocbench.datasets.cross_view.rendered.places import Building
 from relocbench.datasets.synthetic.town.network import StreetNetwork
-from relocbench.geometry import Camera
+from relocbench.geometry import Camera, make_transform
 
 ROUNDS = 3
 FAR_TO_NEAR = 256.0 / 121.5
@@ -62,10 +62,7 @@ def drone(building: Building, views: int, far_m: float, start_rad: float) -> lis
 def satellite(building: Building, turn_rad: float = 0.0) -> Array:
     """T_world_cam (4, 4) looking straight down on the building, north up or turned counter-clockwise by an angle."""
     c, s = np.cos(turn_rad), np.sin(turn_rad)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([[c, s, 0], [s, -c, 0], [0, 0, -1]], axis=1)
-    pose[:3, 3] = *building.centre, SATELLITE_M
-    return pose
+    return make_transform(np.stack([[c, s, 0], [s, -c, 0], [0, 0, -1]], axis=1), [*building.centre, SATELLITE_M])
 
 
 def street(building: Building, views: int, network: StreetNetwork) -> list[Array]:
@@ -81,10 +78,7 @@ def facing(eye: Array, target: Array) -> Array:
     z = (target - eye) / np.linalg.norm(target - eye)
     x = np.cross(z, [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
-    pose[:3, 3] = eye
-    return pose
+    return make_transform(np.stack([x, np.cross(z, x), z], axis=1), eye)
 
 
 def nearest_street(point: Array, network: StreetNetwork) -> tuple[Array, Array]:

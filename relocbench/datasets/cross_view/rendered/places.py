@@ -57,18 +57,14 @@ def buildings(district: District, *, every: bool = False) -> list[Building]:
     np.minimum.at(low, index, corners.min(axis=1))
     np.maximum.at(high, index, corners.max(axis=1))
     middle, size = (low + high) / 2, high - low
+    found = [Building(int(name), middle[k, :2], size[k, :2], float(high[k, 2])) for k, name in enumerate(names)]
     if every:
-        return [_building(names[k], middle[k], size[k], high[k]) for k in range(len(names))]
+        return found
     roomy = size[:, :2].min(axis=1) >= _LEAST_FOOTPRINT_M
     for front in district.periodic.fronts:
         roomy &= _distance(middle[:, :2], front) > _FROM_PERIODIC_M
     streets = district.network.nodes[list(district.network.faces[-1])]
-    chosen_ones = [k for k in np.flatnonzero(roomy) if inside(streets, middle[k, :2])]
-    return [_building(names[k], middle[k], size[k], high[k]) for k in chosen_ones]
-
-
-def _building(name: int, middle: Array, size: Array, high: Array) -> Building:
-    return Building(int(name), middle[:2], size[:2], float(high[2]))
+    return [found[k] for k in np.flatnonzero(roomy) if inside(streets, found[k].centre)]
 
 
 def spread(found: list[Building], spacing_m: float, rng: np.random.Generator) -> list[Building]:

@@ -163,6 +163,7 @@ def prepare(
     truth = out / "truth" / target.name
     for folder in (truth, target.folder):
         remove_parts(folder)
+    cameras = {name: mount.camera.to_dict() for name, mount in target.cameras.items()}
     settings = {
         "layout": options.layout,
         "seed": options.seed,
@@ -179,12 +180,12 @@ def prepare(
         },
         "trajectory_sha256": hashlib.sha256(trajectory.T_world_rig.tobytes()).hexdigest(),
         "relocbench": __version__,
-        "sensors": {"T_rig_sensor": _extrinsics(target), "cameras": _cameras(target)},
+        "sensors": {"T_rig_sensor": _extrinsics(target), "cameras": cameras},
     }
     _claim(truth / "settings.yaml", settings)
     drawn = target.write_texts(trajectory, factors, int(np.random.SeedSequence([*identity, 3]).generate_state(1)[0]))
     write_text(truth / "drawn.yaml", dump_yaml(drawn))
-    _write_poses(truth / "poses.csv", trajectory)
+    write_table(truth / "poses.csv", POSE_COLUMNS, _pose_rows(trajectory.times_ns, trajectory.T_world_rig))
     _write_cars(truth / "moving_cars.csv", tracks)
     scans, pictures = _missing(target, target.lidars), _missing(target, target.cameras)
     context = DriveContext(factors, target, trajectory, tracks, identity)
@@ -258,14 +259,6 @@ def _claim(path: Path, settings: Mapping[str, Any]) -> None:
 def _extrinsics(layout: Layout) -> dict[str, Any]:
     mounts = {n: m.T_rig_cam for n, m in layout.cameras.items()} | {n: m.T_rig_lidar for n, m in layout.lidars.items()}
     return {name: Transform.of(pose).model_dump() for name, pose in mounts.items()}
-
-
-def _cameras(layout: Layout) -> dict[str, Any]:
-    return {name: mount.camera.to_dict() for name, mount in layout.cameras.items()}
-
-
-def _write_poses(path: Path, trajectory: TrueTrajectory) -> None:
-    write_table(path, POSE_COLUMNS, _pose_rows(trajectory.times_ns, trajectory.T_world_rig))
 
 
 def _write_cars(path: Path, tracks: Sequence[CarTrack]) -> None:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.arrays import Array, Floats, Mask
+from relocbench.arrays import Array, Floats
 from relocbench.datasets.core import images
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import RuleOptions
@@ -152,9 +152,10 @@ def render_unit(unit: RenderUnit) -> Spent:
 
 
 def _write_changed(path: Path, frame: Frame, work: FrameWork, unit: RenderUnit) -> None:
-    write_mask(
-        path, scenes.changed_since(unit.place, unit.reference, unit.factors, frame, work.camera, work.T_world_cam)
-    )
+    """Write what has changed as 8-bit grey, 255 where it has."""
+    camera = work.camera, work.T_world_cam
+    changed = scenes.changed_since(unit.place, unit.reference, unit.factors, frame, *camera)
+    images.write_image(path, np.where(changed, 255, 0).astype(np.uint8))
 
 
 def _keyframe(frame: Frame, work: FrameWork) -> Keyframe:
@@ -209,8 +210,3 @@ def write_instance(path: Path, instance: NDArray[np.uint32]) -> None:
     """Write object numbers (H, W) as 8-bit RGB: ``R + 256 G + 65536 B``."""
     parts = [(instance >> shift & 255).astype(np.uint8) for shift in (0, 8, 16)]
     images.write_image(path, np.stack(parts, axis=-1))
-
-
-def write_mask(path: Path, mask: Mask) -> None:
-    """Write a mask (H, W) as 8-bit grey, 255 where it is true."""
-    images.write_image(path, np.where(mask, 255, 0).astype(np.uint8))

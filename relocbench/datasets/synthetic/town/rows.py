@@ -14,6 +14,7 @@ from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
 from relocbench.datasets.synthetic.town.polylines import edge_frame
 from relocbench.datasets.synthetic.town.shapes import instances
 from relocbench.datasets.synthetic.town.streets import KERB_M, Block
+from relocbench.geometry import make_transform
 
 PERIOD_M = 4.8
 _CORNER = np.radians(35)
@@ -90,9 +91,7 @@ class _Row:
         count = len(block.face)
         start, end = block.building[i], block.building[(i + 1) % count]
         d, inward, self.length = edge_frame(start, end)
-        self.frame = np.eye(4)
-        self.frame[:2, 0], self.frame[:2, 1] = d, inward
-        self.frame[:3, 3] = *start, KERB_M
+        self.frame = make_transform(np.stack([[*d, 0], [*inward, 0], [0, 0, 1]], axis=1), [*start, KERB_M])
         self.plots: list[Plot] = []
         self.mitre = [0.0, 0.0]
         self.free = [0.0, self.length]
