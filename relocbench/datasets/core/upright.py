@@ -6,7 +6,7 @@ import numpy as np
 
 from relocbench.arrays import Array
 
-_R_VEHICLE_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+R_VEHICLE_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """axes of a camera that looks ahead, in those of a vehicle: x ahead, y to the left, z up"""
 
 
@@ -20,7 +20,7 @@ def R_frame_camera(T_world_frame: Array) -> Array:
     """
     steps = np.diff(T_world_frame[:, :3, 3], axis=0)
     travel = np.abs(np.einsum("nji,nj->ni", T_world_frame[:-1, :3, :3], steps)).sum(axis=0)
-    return np.eye(3) if not travel.any() or np.argmax(travel) == 2 else _R_VEHICLE_CAMERA.copy()
+    return np.eye(3) if not travel.any() or np.argmax(travel) == 2 else R_VEHICLE_CAMERA.copy()
 
 
 def with_camera_axes(T_world_frame: Array) -> Array:

@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 from relocbench.arrays import Array, Times
 from relocbench.datasets.core.npy import parse_npy
 from relocbench.datasets.core.schema import Strict, Transform
+from relocbench.datasets.core.upright import R_VEHICLE_CAMERA
 from relocbench.datasets.sensors import cloud_files
 from relocbench.datasets.sensors.binary_layout import detect_layout
 from relocbench.datasets.sensors.cloud_formats.point_clouds import with_axes
@@ -40,9 +41,7 @@ USUAL_COLUMNS: dict[int, tuple[str, ...]] = {
 RigAxes = Literal["forward-left-up", "right-down-forward"]
 T_NEW_RIG: dict[RigAxes, Array] = {
     "forward-left-up": np.eye(4),
-    "right-down-forward": make_transform(
-        np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), [0.0, 0.0, 0.0]
-    ),
+    "right-down-forward": make_transform(R_VEHICLE_CAMERA, np.zeros(3)),
 }
 """(4, 4) from rig axes of a file to x forward, y left, z up"""
 _FAR_S = 1.0

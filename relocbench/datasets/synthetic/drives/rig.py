@@ -12,12 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from relocbench.arrays import Array
+from relocbench.datasets.core.upright import R_VEHICLE_CAMERA
 from relocbench.datasets.synthetic.conditions.views import CameraView, image_size
 from relocbench.errors import ConfigError, available
 from relocbench.geometry import Camera, make_transform, so3_exp
-
-_R_VEHICLE_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""rotation of a camera that looks straight ahead"""
 
 
 def _turn(yaw_deg: float, down_deg: float) -> Array:
@@ -40,7 +38,7 @@ class Mount:
     @property
     def T_rig_cam(self) -> Array:
         """Pose (4, 4), turned first down and then to the left."""
-        rotation = _turn(self.yaw_deg, self.down_deg) @ _R_VEHICLE_CAMERA
+        rotation = _turn(self.yaw_deg, self.down_deg) @ R_VEHICLE_CAMERA
         return make_transform(rotation, [self.forward_m, self.left_m, self.up_m])
 
 

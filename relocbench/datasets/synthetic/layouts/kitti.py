@@ -18,6 +18,7 @@ import numpy as np
 
 from relocbench.arrays import Array, Image, Mask, Times
 from relocbench.datasets.core import images
+from relocbench.datasets.core.upright import R_VEHICLE_CAMERA
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives import odometry
 from relocbench.datasets.synthetic.layouts.recorded import CameraMount, Layout, LidarMount, TrueTrajectory
@@ -29,10 +30,8 @@ CAMERAS: dict[str, float] = {"image_0": 0.0, "image_1": 0.53715, "image_2": -0.0
 """metres to the right of camera 0; cameras 0 and 1 are grey, 2 and 3 colour"""
 _CAMERA = Camera("pinhole", 1226, 370, 707.0912, 707.0912, 601.8873, 183.1104)
 """the camera of sequences 04 to 12"""
-_R_FORWARD_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""from axes x right, y down, z forward to x forward, y left, z up"""
 _T_RIG_LIDAR = make_transform(np.eye(3), [0.0, 0.27, 1.73])
-_T_LIDAR_CAM0 = make_transform(_R_FORWARD_CAMERA, [0.27, 0.0, -0.08])
+_T_LIDAR_CAM0 = make_transform(R_VEHICLE_CAMERA, [0.27, 0.0, -0.08])
 """the lidar is 1.73 m above the road, the cameras 1.65 m and 0.27 m further forward (KITTI's set-up page)"""
 _T_RIG_CAM0 = _T_RIG_LIDAR @ _T_LIDAR_CAM0
 _PERIOD_NS = 100_000_000
