@@ -189,9 +189,6 @@ AUTUMN: tuple[Colour, ...] = (
 """leaves of eight kinds of trees"""
 
 
-_NUMBERS = ("spread", "gloss", "porous", "film", "hollows")
-
-
 class Looks(NamedTuple):
     """:data:`LOOKS` as tables, colours as linear albedo."""
 
@@ -223,7 +220,11 @@ def make_looks(leaf_colour: float) -> Looks:
     return Looks(
         np.stack([np.stack([linear(k.first[i % len(k.first)]) for i in range(CHOICES)]) for k in looks]),
         np.stack([linear(k.second) for k in looks]),
-        *(np.array([getattr(k, name) for k in looks], np.float32) for name in _NUMBERS),
+        np.array([k.spread for k in looks], np.float32),
+        np.array([k.gloss for k in looks], np.float32),
+        np.array([k.porous for k in looks], np.float32),
+        np.array([k.film for k in looks], np.float32),
+        np.array([k.hollows for k in looks], np.float32),
         np.stack(leaves).astype(np.float32),
     )
 
