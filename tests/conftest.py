@@ -95,3 +95,10 @@ def workers_kept() -> Iterator[None]:
 
     with kept_workers():
         yield
+
+
+@pytest.fixture
+def small_preview(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Previews of a small district: the light of a scene takes longer than its pictures, the more so in a large one."""
+    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._EXTENT_M", 180.0)
+    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._ROUTE_M", 100.0)

@@ -173,12 +173,18 @@ def test_the_table_has_every_command() -> None:
     [pytest.param(name, marks=pytest.mark.thorough) if name in LONG else name for name in COMMANDS],
 )
 def test_a_command_prints_one_object_with_counts(
-    command: str, data: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    command: str,
+    data: SimpleNamespace,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    request: pytest.FixtureRequest,
 ) -> None:
     NeedsWeights.path = tmp_path / "weights.bin"
     NeedsWeights.path.write_bytes(b"numbers")
     if command == "demo":
         _small_demo(monkeypatch)
+    if command == "preview":
+        request.getfixturevalue("small_preview")
     arguments, expected = COMMANDS[command]
     outcome = relocbench(*command.split(), *arguments(data, tmp_path), "--json")
     assert outcome.status == 0, outcome.err

@@ -473,10 +473,8 @@ def test_a_preview_that_cannot_be_written_is_not_rendered(tmp_path: Path, monkey
 
 
 @pytest.mark.thorough
-def test_a_preview_has_a_picture_for_each_condition(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # The light of a scene takes longer than its pictures, the more so the larger the district is.
-    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._EXTENT_M", 180.0)
-    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._ROUTE_M", 100.0)
+@pytest.mark.usefixtures("small_preview")
+def test_a_preview_has_a_picture_for_each_condition(tmp_path: Path) -> None:
     sheet = tmp_path / "sheet.png"
     outcome = relocbench("preview", "-c", "Sunny,Snow", "--size", "96x72", "--out", sheet, "--quiet")
     assert outcome.status == 0, outcome.err
