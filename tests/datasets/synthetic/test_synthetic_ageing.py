@@ -21,7 +21,7 @@ from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, me
 from relocbench.datasets.synthetic.town.network import LANE_M
 from relocbench.datasets.synthetic.town.polylines import edge_frame
 from relocbench.datasets.synthetic.town.streets import KERB_M
-from relocbench.datasets.synthetic.town.town import District, compose, make_district
+from relocbench.datasets.synthetic.town.town import District, compose
 from relocbench.execution import Run
 from relocbench.geometry import Camera
 from relocbench.progress import Silent
@@ -33,7 +33,7 @@ NEW, OLD = (Factors(months=m, foliage=0.0, parked_share=0.0) for m in (0.0, 24.0
 
 @pytest.fixture(scope="module")
 def district() -> District:
-    return make_district(PLACE.seed, PLACE.split, PLACE.extent_m)
+    return scenes.district(PLACE)
 
 
 @pytest.fixture(scope="module")
