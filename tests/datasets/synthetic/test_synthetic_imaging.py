@@ -24,12 +24,14 @@ from relocbench.datasets.synthetic.conditions.imaging import Imaging
 from relocbench.datasets.synthetic.conditions.presets import conditions_of, previewed
 from relocbench.datasets.synthetic.drives.drive import DriveStyle
 from relocbench.datasets.synthetic.drives.rig import rig_named
+from relocbench.datasets.synthetic.jobs.latest import forget_renderer
 from relocbench.datasets.synthetic.jobs.plan import AskedDrives, drive_cameras, make_plans
 from relocbench.datasets.synthetic.jobs.rendering import RenderUnit, missing_steps, render_unit
 from relocbench.errors import ConfigError
 from relocbench.execution import Run
 from relocbench.progress import Silent
 
+pytestmark = pytest.mark.usefixtures("renderer_kept")
 TINY: dict[str, Any] = {
     "preset": "smoke",
     "conditions": ("Neutral",),
@@ -142,6 +144,7 @@ def test_a_frame_alone_in_another_process_has_the_same_bytes(varied: Dataset, tm
     layout = type(varied.layout)(tmp_path / "alone")
     step = missing_steps(plan, layout, 0, ())[-1]
     factors = plan.condition.factors
+    forget_renderer()  # which another process does not have
     render_unit(pickle.loads(pickle.dumps(RenderUnit(plan.place, factors, factors, (step,)))))
     (image,) = (tmp_path / "alone").rglob("images/front/*.png")
     expected = varied.layout.root / image.relative_to(tmp_path / "alone")
@@ -203,9 +206,8 @@ def test_mistakes_are_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_a_preview_shows_drawn_cameras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._EXTENT_M", 180.0)
-    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._ROUTE_M", 100.0)
+@pytest.mark.usefixtures("small_preview")
+def test_a_preview_shows_drawn_cameras(tmp_path: Path) -> None:
     shown = previewed(("Sunny", "Rain"), everything=False, swept=None, steps=2, cameras=2, seed=1)
     assert list(shown)[:3] == ["Sunny", "Sunny, camera 1", "Sunny, camera 2"]
     assert len({factors.imaging for factors in shown.values()}) == 5

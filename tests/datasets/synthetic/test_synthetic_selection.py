@@ -29,6 +29,8 @@ from relocbench.geometry import make_transform, so3_exp
 from relocbench.metrics.pose.tiers import TIERS
 from relocbench.progress import Silent
 
+pytestmark = pytest.mark.usefixtures("renderer_kept")
+
 
 def pair(number: int, angle_deg: float = 1.0) -> Pair:
     return Pair(number, 100 + number, make_transform(so3_exp([0.0, np.radians(angle_deg), 0.0]), [0.0, 0.0, 1.0]))
@@ -63,7 +65,7 @@ def test_negative_pairs_are_refused_where_their_images_would_be_in_no_other_pair
 
 
 def test_the_repeating_street_is_where_its_houses_are() -> None:
-    place = DistrictSpec(3, "validation", 250.0)
+    place = DistrictSpec(3, "validation", 190.0)
     district = scenes.district(place)
     middle = np.mean([(front.start + front.end) / 2 for front in district.periodic.fronts], axis=0)
     away = district.network.nodes[:, :2][np.argmax(np.linalg.norm(district.network.nodes[:, :2] - middle, axis=1))]
@@ -108,8 +110,11 @@ def made(out: Path, **options: object) -> Dataset:
 
 
 def test_a_set_of_a_tier_holds_some_of_the_pairs_that_it_would_hold_anyway(tmp_path: Path) -> None:
-    every = made(tmp_path / "all", distance=4.0, max_distance=12.0)
-    medium = made(tmp_path / "medium", distance=4.0, max_distance=12.0, tier="medium", pairs=3)
+    every_pair: dict[str, object] = {
+        "conditions": ("Sunny",), "traversals": 2, "distance": 4.0, "max_distance": 12.0,
+    }  # fmt: skip
+    some = {**every_pair, "tier": "medium", "pairs": 3}
+    every, medium = made(tmp_path / "all", **every_pair), made(tmp_path / "medium", **some)
     for name in medium.pair_set_names:
         by_key = {p.key: p for p in every.pair_set(name).pairs}
         kept = medium.pair_set(name).pairs
@@ -118,7 +123,7 @@ def test_a_set_of_a_tier_holds_some_of_the_pairs_that_it_would_hold_anyway(tmp_p
             assert (one.overlap, one.scale_change) == (by_key[one.key].overlap, by_key[one.key].scale_change)
     before = tree_bytes(medium.root)
     next((medium.root / "pairs").glob("*.txt")).unlink()
-    made(tmp_path / "medium", distance=4.0, max_distance=12.0, tier="medium", pairs=3)
+    made(tmp_path / "medium", **some)
     assert tree_bytes(medium.root) == before
 
 

@@ -26,6 +26,7 @@ from relocbench.datasets.synthetic.conditions.views import CameraView, draw_view
 from relocbench.datasets.synthetic.drives.drive import DriveStyle
 from relocbench.datasets.synthetic.drives.rig import RIGS, rig_named
 from relocbench.datasets.synthetic.jobs import scenes
+from relocbench.datasets.synthetic.jobs.latest import forget_renderer
 from relocbench.datasets.synthetic.jobs.plan import AskedDrives, drive_views, make_plans
 from relocbench.datasets.synthetic.jobs.rendering import RenderUnit, missing_steps, render_unit
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
@@ -37,6 +38,7 @@ from relocbench.progress import Silent
 sys.path.insert(0, str(TRUTH))
 from synthetic_truth import check, report
 
+pytestmark = pytest.mark.usefixtures("renderer_kept")
 TINY: dict[str, Any] = {
     "preset": "smoke",
     "conditions": ("Neutral",),
@@ -160,6 +162,7 @@ def test_a_frame_alone_in_another_process_has_the_same_bytes(varied: Dataset, tm
     step = missing_steps(plan, layout, 0, ("normals",))[-1]
     factors = plan.condition.factors
     assert step.frames[0].distortion == views[plan.name].distortion != 0
+    forget_renderer()  # which another process does not have
     render_unit(pickle.loads(pickle.dumps(RenderUnit(plan.place, factors, factors, (step,)))))
     written = list((tmp_path / "alone").rglob("*.png"))
     assert len(written) == 3
@@ -267,9 +270,8 @@ def test_views_by_hand_belong_to_conditions(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_a_preview_shows_drawn_views(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._EXTENT_M", 180.0)
-    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._ROUTE_M", 100.0)
+@pytest.mark.usefixtures("small_preview")
+def test_a_preview_shows_drawn_views(tmp_path: Path) -> None:
     sheets = []
     for count in (0, 1):
         out = tmp_path / f"{count}.png"
