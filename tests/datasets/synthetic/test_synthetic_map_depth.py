@@ -39,6 +39,7 @@ from relocbench.geometry import Camera, make_transform
 from relocbench.progress import Silent
 from relocbench.tracking import KeyframePoints, Reference
 
+pytestmark = pytest.mark.usefixtures("renderer_kept")
 CAMERA = Camera("pinhole", 320, 240, 210.0, 210.0, 159.5, 119.5)
 T_RIG_CAM = make_transform(np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], dtype=float), [0.9, 0.0, 1.5])
 EVERY: dict[str, dict[str, Any]] = {
@@ -46,7 +47,9 @@ EVERY: dict[str, dict[str, Any]] = {
     "lidar": {"depth": "lidar", "rings": 16},
     "stereo": {"depth": "stereo"},
 }
-SMOKE: dict[str, Any] = {"preset": "smoke", "correspondences": 40, "people": 0.0}
+SMOKE: dict[str, Any] = {
+    "preset": "smoke", "conditions": ("Neutral",), "traversals": 2, "correspondences": 40, "people": 0.0,
+}  # fmt: skip
 KEYFRAMES = "test-Neutral-0"
 
 
@@ -279,9 +282,8 @@ def test_errors_that_leave_no_depth_are_refused(kind: str, reach: str, tmp_path:
 
 
 @pytest.mark.thorough
-def test_a_preview_shows_what_maps_know(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._EXTENT_M", 180.0)
-    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._ROUTE_M", 100.0)
+@pytest.mark.usefixtures("small_preview")
+def test_a_preview_shows_what_maps_know(tmp_path: Path) -> None:
     sheet = tmp_path / "sheet.png"
     words = ("preview", "-c", "Sunny", "--map-depths", "--size", "96x72", "--out", sheet, "--quiet")
     assert relocbench(*words).status == 0
