@@ -17,7 +17,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,7 +30,9 @@ import archives  # noqa: E402  from the folder above
 _COMMIT = re.compile(r"Printed by commit\s+[0-9a-f]+\+?")
 """which is another one each time"""
 _PREDICTIONS = "from predictions"
-_TABLES = ("leaderboard.csv", "errors.csv", "matching.csv", "truth.csv")
+_FROM_ERRORS = ("leaderboard.csv",)
+"""the table that follows from the published errors; the others are what it follows from, or come from predictions"""
+_TABLES = (*_FROM_ERRORS, "datasets.csv", "errors.csv", "matching.csv", "truth.csv")
 
 
 class Finding(NamedTuple):
@@ -94,7 +96,7 @@ def small_sets(leaderboard: Path, scratch: Path, recordings: Path | None) -> Ite
     again = scratch / "from_errors"
     shutil.copytree(leaderboard, again, dirs_exist_ok=True)
     _run("tools/rewrite_board.py", again)
-    yield from _of_board(leaderboard, again, "from published errors")
+    yield from _of_board(leaderboard, again, "from published errors", _FROM_ERRORS)
     if not any((leaderboard / "predictions").glob("*/*.tar.xz")):
         yield Finding("leaderboard.md", _PREDICTIONS, "cannot be recomputed: no predictions published")
     elif recordings is None:
@@ -114,13 +116,13 @@ def from_predictions(leaderboard: Path, datasets: Path, scratch: Path) -> Iterat
     if done.returncode:
         yield Finding("leaderboard.md", _PREDICTIONS, f"differs: {done.stderr.strip()}", differs=True)
         return
-    yield from _of_board(leaderboard, board, _PREDICTIONS)
+    yield from _of_board(leaderboard, board, _PREDICTIONS, _TABLES)
 
 
-def _of_board(leaderboard: Path, again: Path, source: str) -> Iterator[Finding]:
+def _of_board(leaderboard: Path, again: Path, source: str, tables: Sequence[str]) -> Iterator[Finding]:
     sets = {f"sets/{path.name}" for folder in (leaderboard, again) for path in (folder / "sets").glob("*.md")}
-    tables = [name for name in _TABLES if (leaderboard / name).exists() or (again / name).exists()]
-    for name in ("leaderboard.md", "reading.md", *tables, *sorted(sets)):
+    there = [name for name in tables if (leaderboard / name).exists() or (again / name).exists()]
+    for name in ("leaderboard.md", "reading.md", *there, *sorted(sets)):
         yield compared(name, source, leaderboard / name, again / name)
 
 

@@ -7,7 +7,8 @@ With ``--take``, datasets of another board, which was evaluated later, take the 
 
 A board takes hours to evaluate; its tables hold every error and all that pages show. Before anything is
 written, every number of ``leaderboard.csv`` is computed again from ``errors.csv`` and compared to twelve digits (the
-order in which pair sets were added up is not published). CSV files stay as they are, but that ``leaderboard.csv``
+order in which pair sets were added up is not published). What ran, and in which order methods came, is in the records
+beside the published predictions. CSV files stay as they are, but that ``leaderboard.csv``
 gets the columns of metrics that did not exist when it was written.
 """
 
@@ -15,20 +16,18 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
 import math
-import re
+import shutil
 import sys
+import tarfile
 from collections import defaultdict
-from pathlib import Path
+from pathlib import Path, PurePath
 
-from relocbench.datasets.core.fingerprint import SHORT
-from relocbench.datasets.core.layout import pair_set_parts
-from relocbench.errors import MethodError
-from relocbench.evaluation.common.results import DatasetRecord, PairSetRecord, RunRecord
+from relocbench.evaluation.common.results import DatasetRecord, RunRecord
 from relocbench.evaluation.tables.errors import NUMBERS, ErrorTable, PairErrors
 from relocbench.evaluation.tables.matching import MatchingRow
 from relocbench.evaluation.tables.schema import ALL, write_rows
+from relocbench.files import parse_yaml
 from relocbench.leaderboard.common.text import cell
 from relocbench.leaderboard.tracking.doubt import TruthCheck
 from relocbench.leaderboard.tracking.long_form import leaderboard_rows
@@ -36,7 +35,6 @@ from relocbench.leaderboard.tracking.method import Method
 from relocbench.leaderboard.tracking.model import TOTALS, Board, DatasetEntry
 from relocbench.leaderboard.tracking.tables import make_board
 from relocbench.leaderboard.tracking.write import write_pages
-from relocbench.methods.specs import MethodSpec
 
 Rows = list[dict[str, str]]
 _KEY = ("dataset", "pair_set", "split", "group", "method")
@@ -64,6 +62,8 @@ def main() -> None:
         for name in ("errors.csv", "matching.csv", "truth.csv"):
             _merge(folder / name, options.take / name, taken)
         for name in taken:
+            shutil.rmtree(folder / "predictions" / name, ignore_errors=True)
+            shutil.copytree(options.take / "predictions" / name, folder / "predictions" / name)
             for page in (folder / "sets").glob(f"{name}@*.md"):
                 page.unlink()
         rows.sort(key=lambda row: row[header.index("dataset")])
@@ -75,11 +75,11 @@ def main() -> None:
 def _entries(folder: Path, published: Rows) -> list[DatasetEntry]:
     """The datasets of a board that rows of its ``leaderboard.csv`` are of."""
     errors, matching = _errors(folder / "errors.csv"), _matching(folder / "matching.csv")
-    truth = _read(folder / "truth.csv")
+    truth, (datasets, runs) = _read(folder / "truth.csv"), _records(folder / "predictions")
     by_dataset: dict[str, Rows] = defaultdict(list)
     for row in published:
         by_dataset[row["dataset"]].append(row)
-    return [_entry(folder, rows, errors, matching, truth) for rows in by_dataset.values()]
+    return [_entry(datasets[name], rows, errors, matching, truth, runs) for name, rows in by_dataset.items()]
 
 
 def _merge(path: Path, later: Path, taken: set[str]) -> None:
@@ -95,6 +95,23 @@ def _read(path: Path) -> Rows:
         return []
     with path.open(newline="", encoding="utf-8") as stream:
         return list(csv.DictReader(stream))
+
+
+def _records(archives: Path) -> tuple[dict[str, DatasetRecord], dict[tuple[str, str], RunRecord]]:
+    """The records of datasets, and those of runs by dataset and method."""
+    datasets, runs = {}, {}
+    for path in sorted(archives.glob("*/*.tar.xz")):
+        with tarfile.open(path) as archive:
+            texts = {
+                PurePath(member.name).name: content.read().decode()
+                for member in archive
+                if member.name.endswith(("/dataset.yaml", "/run.yaml"))
+                and (content := archive.extractfile(member)) is not None
+            }
+        name, label = path.parent.name, path.name.removesuffix(".tar.xz")
+        datasets[name] = DatasetRecord.model_validate(parse_yaml(texts["dataset.yaml"]))
+        runs[name, label] = RunRecord.model_validate(parse_yaml(texts["run.yaml"]))
+    return datasets, runs
 
 
 def _errors(path: Path) -> dict[tuple[str, str, str], ErrorTable]:
@@ -132,37 +149,22 @@ def _matching(path: Path) -> dict[tuple[str, str, str], tuple[MatchingRow, ...]]
 
 
 def _entry(
-    folder: Path,
+    record: DatasetRecord,
     rows: Rows,
     errors: dict[tuple[str, str, str], ErrorTable],
     matching: dict[tuple[str, str, str], tuple[MatchingRow, ...]],
     truth: Rows,
+    runs: dict[tuple[str, str], RunRecord],
 ) -> DatasetEntry:
-    name, fingerprint = rows[0]["dataset"], rows[0]["fingerprint"]
-    page = (folder / "sets" / f"{name}@{fingerprint[:SHORT]}.md").read_text(encoding="utf-8")
-    licence = re.search(r"Licence: (.*?)\. \d+ pairs in ", page)
-    settings = dict(re.findall(r"^- `(.*?)`: `(\{.*\})`$", page, re.MULTILINE))
     of_sets = [row for row in rows if row["pair_set"] not in TOTALS]
-    sets = {row["pair_set"]: row for row in of_sets if row["group"] == ALL}
-    groups: dict[str, dict[str, None]] = defaultdict(dict)
-    for row in of_sets:
-        if row["group"] != ALL:
-            groups[row["pair_set"]][row["group"]] = None
-    splits: dict[str, tuple[str, ...]] = {}
-    for pair_set, row in sets.items():
-        splits[row["split"]] = (*splits.get(row["split"], ()), pair_set)
-    record = DatasetRecord(
-        name=name,
-        fingerprint=fingerprint,
-        question=rows[0]["question"],
-        licence=re.sub(r"\\(.)", r"\1", licence[1]) if licence else "unknown",
-        splits={split: names for split, names in splits.items() if split},
-        pair_sets={pair_set: _pair_set(row, tuple(groups[pair_set])) for pair_set, row in sets.items()},
-    )
+    pair_sets = {name: record.pair_sets[name] for name in dict.fromkeys(row["pair_set"] for row in of_sets)}
+    splits = {split: tuple(name for name in names if name in pair_sets) for split, names in record.splits.items()}
     own = {row["method"]: row for row in of_sets}
-    methods = [_method(row, settings.get(label), list(sets), errors, matching) for label, row in sorted(own.items())]
-    checks = {row["pair_set"]: _truth_check(row) for row in truth if row["fingerprint"] == fingerprint}
-    return DatasetEntry(record, tuple(methods), record.pair_sets, splits=splits, truth_checks=checks)
+    methods = [
+        _method(row, runs[record.name, label], list(pair_sets), errors, matching) for label, row in sorted(own.items())
+    ]
+    checks = {row["pair_set"]: _truth_check(row) for row in truth if row["fingerprint"] == record.fingerprint}
+    return DatasetEntry(record, tuple(methods), pair_sets, splits=splits, truth_checks=checks)
 
 
 def _truth_check(row: dict[str, str]) -> TruthCheck:
@@ -170,63 +172,18 @@ def _truth_check(row: dict[str, str]) -> TruthCheck:
     return TruthCheck(*counts, float(row["median_apart_px"] or math.nan), int(row["width_px"]))
 
 
-def _pair_set(row: dict[str, str], groups: tuple[str, ...]) -> PairSetRecord:
-    reference, query, of_keyframes, of_queries = pair_set_parts(row["pair_set"])
-    medians = ("distance_m", "angle_deg", "sigma_translation_m", "sigma_rotation_deg")
-    return PairSetRecord(
-        reference=reference,
-        query=query,
-        camera=of_queries,
-        reference_camera=of_keyframes if of_keyframes != of_queries else None,
-        reference_condition=row["reference_condition"],
-        query_condition=row["query_condition"],
-        pairs=int(row["pairs"]),
-        rejected=int(row["rejected"]),
-        has_truth=True,
-        groups=groups,
-        **{f"median_{name}": float(text) if (text := row[f"median_{name}"]) else None for name in medians},
-    )
-
-
 def _method(
     row: dict[str, str],
-    settings: str | None,
+    run: RunRecord,
     pair_sets: list[str],
     errors: dict[tuple[str, str, str], ErrorTable],
     matching: dict[tuple[str, str, str], tuple[MatchingRow, ...]],
 ) -> Method:
     place = row["dataset"], row["method"]
-    known = {"method": row["version"], "relocbench": row["relocbench"]}
-    parameters = json.loads(row["parameters"])
-    ordered = {**(json.loads(settings) if settings else {}), **parameters}  # the page has the order of the run
-    run = RunRecord(
-        method=row["method"],
-        target=row["target"],
-        parameters={key: parameters[key] for key in ordered},
-        seed=int(row["seed"]) if row["seed"] else None,
-        dataset=row["dataset"],
-        fingerprint=row["fingerprint"],
-        question=row["question"],
-        versions={key: value for key, value in known.items() if value},
-        machine={"cpu": row["machine"], "cores": int(row["cores"])} if row["machine"] else {},
-        workers=int(row["workers"]) if row["workers"] else None,
-        isolated={"yes": True, "no": False}.get(row["isolated"]),
-        uses_times=row["uses_times"] == "yes",
-        made_elsewhere=row["made_elsewhere"] == "yes",
-        assumes=_assumes(MethodSpec(row["method"], row["target"], parameters)),
-    )
     own = {name: errors[place[0], name, place[1]] for name in pair_sets if (place[0], name, place[1]) in errors}
     matched = {name: matching[place[0], name, place[1]] for name in own if (place[0], name, place[1]) in matching}
     missing = {name: "not run" for name in pair_sets if name not in own}
     return Method(row["method"], run, own, missing, matching=matched, rescored=row["rescored"] == "yes")
-
-
-def _assumes(spec: MethodSpec) -> str:
-    """What a method says that it assumes with these parameters; empty where there is no such method today."""
-    try:
-        return spec.assumes()
-    except MethodError:
-        return ""
 
 
 def _compare(board: Board, published: Rows) -> list[list[str]]:
