@@ -38,8 +38,8 @@ PRIOR_CORRELATION = 0.95
 
 _LIKELY, _CAUTIOUS = 1.28, 3.0
 """quantiles of the normal distribution at 90 % and 99.9 %"""
-_OF_RUNS = 0.95
-"""probability with which the mean length of runs is below the bound that is taken"""
+_BOUND_OF_RUNS = 0.95
+"""level of the one-sided interval of the mean length of runs"""
 _MIN_BLOCKS = 16
 """blocks of an average set, at least, in which a correlation of block means is looked for"""
 _DOUBT = 2.0
@@ -148,23 +148,24 @@ def fill_missing_with_prior(inflation: Inflation) -> Inflation:
     return Inflation(*(np.where(np.isnan(i), _PRIOR_INFLATION, i) for i in (inflation.likely, inflation.cautious)))
 
 
-def inflation_of_runs(touched: Sequence[Mask]) -> float:
-    """The variance inflation of a rare event from how long its runs are, at least 1.
+def inflation_of_runs(occurs: Sequence[Mask]) -> float:
+    """The variance inflation of a rare event from how long its runs are, from 1 to that of :data:`PRIOR_CORRELATION`.
 
     An event whose runs have lengths with a geometric law of mean L goes on with the probability ``1 - 1 / L``. If it is
     rare, that is the correlation of neighbours, so that V is ``2 L - 1``. A few runs tell little of L: it is taken at
-    the upper bound of a one-sided 95 % interval, that of the mean of as many exponential lengths.
+    the upper bound of a one-sided 95 % interval, which is that of the mean of as many exponential lengths. One run
+    would allow any length; but who has seen one knows no less than who has seen none.
 
     Args:
-        touched: (N,) of each road, in which of its stretches the event occurs.
+        occurs: (N,) of each road, whether the event occurs in a stretch.
     """
     from scipy.special import chdtri
 
-    runs = sum(int(of[0]) + np.count_nonzero(of[1:] & ~of[:-1]) for of in touched)
+    runs = sum(int(of[0]) + np.count_nonzero(of[1:] & ~of[:-1]) for of in occurs)
     if not runs:
         return 1.0
-    mean = 2 * sum(map(np.count_nonzero, touched)) / float(chdtri(2 * runs, _OF_RUNS))
-    return max(1.0, 2 * mean - 1)
+    mean = 2 * sum(map(np.count_nonzero, occurs)) / float(chdtri(2 * runs, _BOUND_OF_RUNS))
+    return min(max(1.0, 2 * mean - 1), _PRIOR_INFLATION)
 
 
 def measured_inflation(

@@ -96,5 +96,9 @@ def test_a_few_runs_tell_little_of_their_length() -> None:
     runs = rng.geometric(0.25, 20000)
     many = np.repeat(np.arange(2 * len(runs)) % 2 == 0, np.stack([runs, np.full_like(runs, 9)], axis=1).ravel())
     assert inflation_of_runs([many]) == pytest.approx(2 * 4 - 1, rel=0.03)
+    # Who has seen one long run knows no less than who has seen none.
+    assert inflation_of_runs([np.arange(300) // 9 == 3]) == pytest.approx(
+        (1 + PRIOR_CORRELATION) / (1 - PRIOR_CORRELATION)
+    )
     # A run ends with the road.
     assert inflation_of_runs([many, many]) < inflation_of_runs([many[:9]])

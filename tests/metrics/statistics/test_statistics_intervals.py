@@ -125,14 +125,17 @@ def test_sets_of_unequal_length_are_as_unsure_of_rare_failures() -> None:
 
 
 def test_rare_failures_in_one_stretch_may_be_more_than_rare_ones_here_and_there() -> None:
-    def far_end(failures: list[int]) -> float:
+    def far_end(failures: list[int], *, independent: bool = False) -> float:
         values = np.ones(1000)
         values[failures] = 0.0
-        found = paired_difference([values], [np.ones(1000)])
+        found = paired_difference([values], [np.ones(1000)], independent=independent)
         assert found.interval is not None
         return found.interval.low
 
-    assert far_end([500, 501, 502, 503]) < 2 * far_end([100, 300, 500, 900])
+    scattered = [100, 300, 500, 900]
+    assert far_end([500, 501, 502, 503]) < 2 * far_end(scattered)
+    # Four lone failures do not say that failures come alone.
+    assert far_end(scattered) < 2 * far_end(scattered, independent=True)
 
 
 def test_each_pair_set_counts_the_same_whatever_its_size() -> None:
