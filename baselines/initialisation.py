@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
-from typing import Literal, Protocol, cast, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 import torch
 from torch import nn
-from torch.nn.utils import skip_init
 from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+
+class UndrawnLinear(nn.Linear):
+    """A linear map with uninitialised weights, so that torch's global generator is not used.
+
+    ``torch.nn.utils.skip_init`` makes one as well, after half a second of imports.
+    """
+
+    def reset_parameters(self) -> None:
+        """Leave the weights to whoever draws or loads them."""
+
+
+class _UndrawnConvolution(nn.Conv2d):
+    """The same of a convolution."""
+
+    def reset_parameters(self) -> None:
+        """Leave the weights to whoever draws or loads them."""
 
 
 def convolution(inside: int, outside: int, size: int, *, groups: int = 1, bias: bool = True) -> nn.Conv2d:
     """A centred convolution with uninitialised weights, so that torch's global generator is not used."""
-    kwargs = {"padding": size // 2, "groups": groups, "bias": bias}
-    return cast(nn.Conv2d, skip_init(nn.Conv2d, inside, outside, size, **kwargs))
+    return _UndrawnConvolution(inside, outside, size, padding=size // 2, groups=groups, bias=bias)
 
 
 def draw_weights(module: nn.Module, generator: torch.Generator, fan: Literal["fan_in", "fan_out"]) -> None:

@@ -15,7 +15,8 @@ from typing import NamedTuple, cast
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
-from torch.nn.utils import skip_init
+
+from baselines.initialisation import UndrawnLinear
 
 _NORM_SPREAD, _CLASSIFIER_SPREAD = 0.02, 0.001
 
@@ -42,10 +43,10 @@ class PartHead(nn.Module):
 
     def __init__(self, inputs: int, width: int, classes: int, dropout: float, generator: torch.Generator) -> None:
         super().__init__()
-        self.reduce = cast(nn.Linear, skip_init(nn.Linear, inputs, width))
+        self.reduce = UndrawnLinear(inputs, width)
         self.norm = nn.BatchNorm1d(width)
         self.dropout = dropout
-        self.classifier = cast(nn.Linear, skip_init(nn.Linear, width, classes))
+        self.classifier = UndrawnLinear(width, classes)
         nn.init.kaiming_normal_(self.reduce.weight, mode="fan_out", generator=generator)
         nn.init.normal_(self.norm.weight, 1.0, _NORM_SPREAD, generator=generator)
         nn.init.normal_(self.classifier.weight, 0.0, _CLASSIFIER_SPREAD, generator=generator)
