@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import os
+import re
 import signal
 import sys
 import tempfile
@@ -83,6 +85,16 @@ def real_data() -> Callable[[str], Path]:
 def writable(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Methods of tests keep logs among the tests' files: they may write to folders of caches that have a variable."""
     os.environ["OF_TESTS_CACHE_DIR"] = str(tmp_path_factory.getbasetemp())
+
+
+_folders = itertools.count()
+
+
+@pytest.fixture
+def tmp_path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """pytest's own counts the folders of the whole run for each new one, seconds of them in a run of thousands."""
+    name = re.sub(r"\W", "_", request.node.name)[:26]
+    return tmp_path_factory.mktemp(f"{name}_{next(_folders)}", numbered=False)
 
 
 @pytest.fixture(scope="module")
