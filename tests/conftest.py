@@ -109,8 +109,18 @@ def workers_kept() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="module")
+def towns_kept() -> Iterator[None]:
+    """Jobs in this process render streets of which what takes seconds is made once a run."""
+    from built_towns import keep_towns
+
+    with pytest.MonkeyPatch.context() as patch:
+        keep_towns(patch)
+        yield
+
+
 @pytest.fixture
 def small_preview(monkeypatch: pytest.MonkeyPatch) -> None:
     """Previews of a small district: the light of a scene takes longer than its pictures, the more so in a large one."""
-    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._EXTENT_M", 180.0)
+    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._EXTENT_M", 190.0)
     monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._ROUTE_M", 100.0)

@@ -16,6 +16,7 @@ from repository import ROOT
 from relocbench.cli.commands import demo
 from relocbench.datasets.synthetic.renderer.revision import RENDERER_REVISION
 
+pytestmark = pytest.mark.usefixtures("towns_kept")
 METHODS = ("identity", "orb-pnp")
 TINY = {"conditions": ("Sunny", "Night"), "size": "96x72", "steps": 3, "extent": 190.0}
 

@@ -28,7 +28,7 @@ from relocbench.weights import PublishedFile
 sys.path.insert(0, str(LIDAR))
 from register_scenes import room_view
 
-pytestmark = pytest.mark.usefixtures("workers_kept")
+pytestmark = pytest.mark.usefixtures("workers_kept", "towns_kept")
 SPLITS = {"train": [ACROSS, WITHIN], "validation": [ACROSS]}
 THUMBNAIL = "t=retrievers_for_tests:Thumbnail"
 

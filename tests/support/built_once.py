@@ -44,7 +44,7 @@ class BuiltOnce(Generic[P, T]):
         bound.apply_defaults()
         key = pickle.dumps((self._write.__module__, self._write.__qualname__, bound.arguments))
         made = Path(os.environ[FOLDER]) / hashlib.sha256(key).hexdigest()[:16]
-        _once(made, lambda folder: self._write(folder, *args, **kwargs))
+        once(made, lambda folder: self._write(folder, *args, **kwargs))
         return made
 
 
@@ -59,7 +59,7 @@ def built_once(
     return lambda write: BuiltOnce(write, opened)
 
 
-def _once(made: Path, write: Callable[[Path], object]) -> None:
+def once(made: Path, write: Callable[[Path], object]) -> None:
     with made.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         begun = made.with_suffix(".begun")

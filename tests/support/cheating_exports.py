@@ -21,7 +21,7 @@ from relocbench.geometry import invert, make_transform
 from relocbench.metrics import pose_errors
 from relocbench.progress import Silent
 
-TOWN = {"preset": "smoke", "conditions": ("Overcast",), "steps": 2, "correspondences": 0, "split": "validation"}
+TOWN = {"preset": "smoke", "conditions": ("Sunny",), "steps": 2, "correspondences": 0, "split": "validation"}
 """what a challenge announces of its towns, or a cheat guesses by the defaults"""
 Answers = Mapping[tuple[str, tuple[int, int]], Array]
 """pair set and keys of keyframe and query -> ``T_query_ref``"""

@@ -13,6 +13,7 @@ from command_line import relocbench
 from relocbench.evaluation.common.results import all_results
 from relocbench.evaluation.tables.errors import ErrorTable, read_errors
 
+pytestmark = pytest.mark.usefixtures("towns_kept")
 METHODS = ("-m", "identity", "-m", "orb-pnp", "-m", "dso")
 
 

@@ -20,6 +20,7 @@ from relocbench.execution import Run
 from relocbench.progress import Silent
 from relocbench.training import TrainingRun
 
+pytestmark = pytest.mark.usefixtures("towns_kept")
 DIRECTIONS = ("drone-satellite", "satellite-drone")
 
 

@@ -27,6 +27,7 @@ from relocbench.execution import Run
 from relocbench.geometry import apply, invert, is_rotation, transform_from_tq
 from relocbench.progress import Silent
 
+pytestmark = pytest.mark.usefixtures("towns_kept")
 TINY = {
     "split": "test",
     "places": 3,

@@ -16,6 +16,7 @@ from relocbench.execution import Run
 from relocbench.metrics.pose.tiers import TIERS
 from relocbench.progress import Silent
 
+pytestmark = pytest.mark.usefixtures("towns_kept")
 SMALL = Recipe(
     edition="small",
     districts=2,

@@ -7,6 +7,11 @@ from collections.abc import Iterator
 import pytest
 
 
+@pytest.fixture(scope="module", autouse=True)
+def towns(towns_kept: None) -> None:
+    """Every module here renders streets."""
+
+
 @pytest.fixture(scope="module")
 def renderer_kept() -> Iterator[None]:
     """Builds of one street in one condition share a renderer, as the images of one build do; to make it takes seconds.

@@ -14,6 +14,7 @@ from refusals import refused
 
 from relocbench.arrays import Array, Floats, Indices, Mask
 from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.renderer.lettering import PAGES
 from relocbench.datasets.synthetic.town.cars import CAR_TYPES, car_shape, solid_shape
 from relocbench.datasets.synthetic.town.furniture import bench, bin_shape, bollard, fountain
@@ -34,7 +35,7 @@ ROAD = {Material.ASPHALT, Material.LANE_MARKING}
 
 @pytest.fixture(scope="module")
 def district() -> District:
-    return make_district(0)
+    return scenes.district(scenes.DistrictSpec(0, "test", 250.0))
 
 
 @pytest.fixture(scope="module")

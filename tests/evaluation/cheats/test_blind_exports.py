@@ -27,6 +27,7 @@ from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs
 from relocbench.evaluation.tracking.blind_keys import BlindKeys
 from relocbench.geometry import make_transform
 
+pytestmark = pytest.mark.usefixtures("towns_kept")
 SPACING_M = 0.15
 
 
