@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +15,8 @@ from relocbench.arrays import Array, Mask, Times
 from relocbench.datasets.core.pairfile import parse_pose
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.errors import DatasetError
-from relocbench.files import atomic_write, parse_timestamp, read_csv
-from relocbench.geometry import interpolate, transform_to_tq
+from relocbench.files import parse_timestamp, read_csv, write_table
+from relocbench.geometry import interpolate, path_lengths, transform_to_tq
 
 GRAPH_COLUMNS = (
     *("traversal", "node", "timestamp_ns", "tx", "ty", "tz", "qx", "qy", "qz", "qw"),
@@ -45,8 +44,7 @@ class PlacedDrive:
     @property
     def travelled_m(self) -> Array:
         """(K,) arc length along the nodes, metres."""
-        steps = np.linalg.norm(np.diff(self.T_world_node[:, :3, 3], axis=0), axis=1)
-        return np.concatenate([[0.0], np.cumsum(steps)])
+        return path_lengths(self.T_world_node[:, :3, 3])
 
     @property
     def connected(self) -> Mask:
@@ -78,25 +76,15 @@ class PlacedDrive:
 
 def write_graph(path: Path, reference: PlacedDrive, query: PlacedDrive) -> None:
     """Write the poses of both drives' nodes, and the distances along the road to trusted registrations."""
-    with atomic_write(path) as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(GRAPH_COLUMNS)
-        t, q = transform_to_tq(np.concatenate([reference.T_world_node, query.T_world_node]))
-        poses = iter(np.hstack([t, q]).tolist())
-        for drive in (reference, query):
-            for node, lengths in enumerate(drive.arc_length_to_trusted.tolist()):
-                verdict = drive.verdicts.get(node)
-                table.writerow(
-                    [
-                        drive.name,
-                        node,
-                        int(drive.times_ns[node]),
-                        *map(repr, next(poses)),
-                        *("" if np.isinf(length) else f"{length:.3f}" for length in lengths),
-                        int(verdict == ""),
-                        verdict or "",
-                    ]
-                )
+    rows = []
+    for drive in (reference, query):
+        poses = np.hstack(transform_to_tq(drive.T_world_node)).tolist()
+        for node, (pose, lengths) in enumerate(zip(poses, drive.arc_length_to_trusted.tolist(), strict=True)):
+            verdict = drive.verdicts.get(node)
+            to_trusted = ("" if np.isinf(length) else f"{length:.3f}" for length in lengths)
+            place = (drive.name, node, int(drive.times_ns[node]))
+            rows.append([*place, *pose, *to_trusted, int(verdict == ""), verdict or ""])
+    write_table(path, GRAPH_COLUMNS, rows)
 
 
 def read_graph(path: Path, reference: str, query: str) -> tuple[PlacedDrive, PlacedDrive]:

@@ -6,7 +6,6 @@ for bit; unknown ones are left empty.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -17,7 +16,7 @@ from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
 from relocbench.errors import DatasetError
-from relocbench.files import atomic_write, read_csv
+from relocbench.files import read_csv, write_table
 
 _UPPER = np.triu_indices(6)
 _EVIDENCE = tuple(f.name for f in fields(Evidence) if f.name != "weakest_direction")
@@ -40,15 +39,14 @@ COLUMNS = (
 
 def write_registrations(path: Path, registrations: Sequence[Registration], reference: Nodes, query: Nodes) -> None:
     """Write the table of one query drive."""
-    with atomic_write(path) as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(COLUMNS)
-        for r in registrations:
-            evidence = [getattr(r.evidence, name) for name in _EVIDENCE]
-            numbers = [*evidence, *r.evidence.weakest_direction, *r.T_ref_query[:3].ravel(), *r.information[_UPPER]]
-            ref_time = int(reference.times_ns[r.ref]) if r.ref >= 0 else ""
-            place = (r.ref, r.query, ref_time, int(query.times_ns[r.query]), int(r.trusted), r.reason)
-            table.writerow([*place, *("" if np.isnan(v) else repr(float(v)) for v in numbers)])
+    rows = []
+    for r in registrations:
+        evidence = [getattr(r.evidence, name) for name in _EVIDENCE]
+        numbers = [*evidence, *r.evidence.weakest_direction, *r.T_ref_query[:3].ravel(), *r.information[_UPPER]]
+        ref_time = int(reference.times_ns[r.ref]) if r.ref >= 0 else ""
+        place = (r.ref, r.query, ref_time, int(query.times_ns[r.query]), int(r.trusted), r.reason)
+        rows.append([*place, *("" if np.isnan(v) else float(v) for v in numbers)])
+    write_table(path, COLUMNS, rows)
 
 
 def read_registrations(path: Path) -> list[Registration]:
