@@ -25,7 +25,7 @@ from relocbench.datasets.groundtruth.pose_graph.odometry_scale import scales_of
 from relocbench.datasets.groundtruth.pose_graph.selection import MEDIAN_CHI2
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.sensors.recording import Trajectory
-from relocbench.geometry import adjoint, invert, se3_exp, se3_log
+from relocbench.geometry import adjoint, hat, invert, se3_exp, se3_log
 
 _REACHES = (Reach(0, 0.3), Reach(0, 0.15), Reach(1, 0.08), *[Reach(1, 0.05)] * 3)
 """how far points may be from planes, iteration after iteration"""
@@ -182,7 +182,6 @@ class _Problem:
 
 def about(place: Array) -> Array:
     """(6, 6) the twist about the origin that is a given twist about a place (3,): ``rho - phi x place``."""
-    x, y, z = place.tolist()
     out = np.eye(6)
-    out[:3, 3:] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+    out[:3, 3:] = hat(place)
     return out

@@ -17,7 +17,7 @@ from scipy.linalg import eigh
 
 from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.pose_graph.edge_information import LENGTH_M
-from relocbench.geometry import apply
+from relocbench.geometry import apply, hat
 
 _LEAST_RELIABILITY = 0.5
 """reliability below which a motion is open: at most 0.25 along corridors, planes, tunnels and spheres with points of
@@ -129,8 +129,8 @@ def _translations(directions: Array) -> str:
 
 def _fixed_point(turns: list[tuple[Array, Array]]) -> Array:
     """(3,) the point that rotations (rho, phi) leave where it is: ``rho + phi x point = 0``."""
-    rows = [np.array([[0, -p[2], p[1]], [p[2], 0, -p[0]], [-p[1], p[0], 0]]) for _, p in turns]
-    return np.asarray(np.linalg.lstsq(np.concatenate(rows), -np.concatenate([rho for rho, _ in turns]), rcond=None)[0])
+    rows = np.concatenate([hat(phi) for _, phi in turns])
+    return np.asarray(np.linalg.lstsq(rows, -np.concatenate([rho for rho, _ in turns]), rcond=None)[0])
 
 
 def _upright(v: Array) -> Array:
