@@ -34,7 +34,8 @@ from ground_truth_world import OPTIONS, DrivePair, World, apart, judge, rounded,
 from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.alignment.two_drives import FirstPose, RegistrationUnit
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
-from relocbench.datasets.groundtruth.recipe.chain import ChainUnit, ImageTimes
+from relocbench.datasets.groundtruth.pairs.pairing import CameraFrames
+from relocbench.datasets.groundtruth.recipe.chain import ChainUnit
 from relocbench.geometry import invert, make_transform, so3_exp
 
 ABLATED: tuple[DrivePair, ...] = ((0, 3), (5, 6), (0, 8))
@@ -169,10 +170,10 @@ def ablation(
 
 def chain_unit(world: World, ref: int, query: int) -> ChainUnit:
     """The plain recipe on a part of the images of two drives."""
-    images = [ImageTimes(T_RIG_CAM, world.taken[n].image_ns[::step]) for n, step in ((ref, 1), (query, CHAINED))]
+    times = world.taken[ref].image_ns, world.taken[query].image_ns[::CHAINED]
     recordings = [world.drives[n].recording for n in (ref, query)]
     return ChainUnit(
-        recordings[0], recordings[1], "front", images[0], images[1],
+        recordings[0], recordings[1], CameraFrames("front", T_RIG_CAM, T_RIG_CAM, *times),
         OPTIONS.submap, OPTIONS.max_distance, OPTIONS.max_angle,
     )  # fmt: skip
 

@@ -23,9 +23,15 @@ from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.jobs.readying import ready
 from relocbench.datasets.groundtruth.jobs.recipe import pair_by_recipe
 from relocbench.datasets.groundtruth.jobs.scaling import reduced_paired
-from relocbench.datasets.groundtruth.jobs.writing import Frames, choose_frames, rig_poses, write_traversal
+from relocbench.datasets.groundtruth.jobs.writing import (
+    Frames,
+    camera_frames,
+    choose_frames,
+    rig_poses,
+    write_traversal,
+)
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
-from relocbench.datasets.groundtruth.pairs.pairing import CameraFrames, Paired, PairingUnit, pair_up
+from relocbench.datasets.groundtruth.pairs.pairing import Paired, PairingUnit, pair_up
 from relocbench.datasets.groundtruth.pairs.reasons import by_kind
 from relocbench.datasets.groundtruth.pose_graph.files import write_graph
 from relocbench.datasets.groundtruth.registration.scene_scale import SceneScale
@@ -163,16 +169,7 @@ def _unit(
     options: FieldOptions,
     scale: SceneScale,
 ) -> PairingUnit:
-    cameras = tuple(
-        CameraFrames(
-            name,
-            scale.enlarged(keyframes.stream.T_rig_cam),
-            scale.enlarged(frames[1][name].stream.T_rig_cam),
-            keyframes.times,
-            frames[1][name].times,
-        )
-        for name, keyframes in frames[0].items()
-    )
+    cameras = tuple(camera_frames(name, frames[0][name], frames[1][name], scale.factor) for name in frames[0])
     limits = (options.limits_at(scale.factor), options.max_angle)
     registrations, shared = tuple(aligned.registrations[query.name]), aligned.shared.get(query.name)
     return PairingUnit(aligned.drives[0], query, registrations, cameras, *limits, shared)

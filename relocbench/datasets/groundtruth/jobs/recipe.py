@@ -15,15 +15,14 @@ import numpy as np
 from relocbench.datasets.groundtruth.alignment.two_drives import FirstPose, if_within
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.datasets.groundtruth.jobs.writing import Frames
+from relocbench.datasets.groundtruth.jobs.writing import Frames, camera_frames
 from relocbench.datasets.groundtruth.pairs.pairing import Paired
 from relocbench.datasets.groundtruth.pose_graph.files import write_graph
 from relocbench.datasets.groundtruth.recipe.answers import between_nodes, outcomes_of, placed
-from relocbench.datasets.groundtruth.recipe.chain import ChainUnit, ImageTimes, follow
+from relocbench.datasets.groundtruth.recipe.chain import ChainUnit, follow
 from relocbench.datasets.groundtruth.recipe.open3d_pair import Open3dOptions
 from relocbench.datasets.groundtruth.registration.files import read_registrations, write_registrations
 from relocbench.datasets.groundtruth.registration.journal import JournaledUnit, register_missing
-from relocbench.datasets.groundtruth.registration.scene_scale import scaled
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.execution import Run
 from relocbench.progress import Reporter
@@ -55,7 +54,16 @@ def pair_by_recipe(
     reference, queries = drives[0], drives[1:]
     chains = [
         [
-            _chain(reference, query, camera, (frames[0][camera], images[camera]), options, first, enlarged)
+            ChainUnit(
+                reference.recording,
+                query.recording,
+                camera_frames(camera, frames[0][camera], images[camera], enlarged),
+                options.submap,
+                options.max_distance * enlarged,
+                options.max_angle,
+                if_within(query.recording, first),
+                Open3dOptions(seed=options.seed),
+            )
             for camera in images
         ]
         for query, images in zip(queries, frames[1:], strict=True)
@@ -65,7 +73,7 @@ def pair_by_recipe(
     paired = []
     for query, mine, tables in zip(queries, chains, units, strict=True):
         registrations = [read_registrations(unit.table) for unit in tables]
-        outcomes = {c.camera: outcomes_of(c, pairs) for c, pairs in zip(mine, registrations, strict=True)}
+        outcomes = {c.images.camera: outcomes_of(c, pairs) for c, pairs in zip(mine, registrations, strict=True)}
         nodes = between_nodes(mine[0], registrations[0], reference, query)
         name = f"{reference.name}__{query.name}.csv"
         write_registrations(folder / "registrations" / name, nodes, reference.nodes, query.nodes)
@@ -75,38 +83,14 @@ def pair_by_recipe(
     return paired
 
 
-def _chain(
-    reference: Drive,
-    query: Drive,
-    camera: str,
-    frames: tuple[Frames, Frames],
-    options: FieldOptions,
-    first: FirstPose | None,
-    enlarged: float,
-) -> ChainUnit:
-    return ChainUnit(
-        reference.recording,
-        query.recording,
-        camera,
-        ImageTimes(scaled(frames[0].stream.T_rig_cam, enlarged), frames[0].times),
-        ImageTimes(scaled(frames[1].stream.T_rig_cam, enlarged), frames[1].times),
-        options.submap,
-        options.max_distance * enlarged,
-        options.max_angle,
-        if_within(query.recording, first),
-        Open3dOptions(seed=options.seed),
-    )
-
-
 def _unit(chain: ChainUnit, folder: Path) -> JournaledUnit:
-    table = folder / f"{chain.reference.name}__{chain.query.name}__{chain.camera}.csv"
-    nodes, steps = (_as_nodes(chain.keyframes), _as_nodes(chain.queries)), len(chain.queries.times_ns)
-    about = f"{chain.query.name}, {chain.camera}"
+    table = folder / f"{chain.reference.name}__{chain.query.name}__{chain.images.camera}.csv"
+    nodes, steps = (_as_nodes(chain.images.ref_ns), _as_nodes(chain.images.query_ns)), len(chain.images.query_ns)
+    about = f"{chain.query.name}, {chain.images.camera}"
     return JournaledUnit(str(chain), partial(follow, chain), steps, table, nodes, about)
 
 
-def _as_nodes(images: ImageTimes) -> Nodes:
+def _as_nodes(times_ns: Sequence[int]) -> Nodes:
     """The images of a camera, numbered and timed as the nodes of a table of registrations are."""
-    count = len(images.times_ns)
-    times = np.array(images.times_ns, dtype=np.int64)
+    count, times = len(times_ns), np.array(times_ns, dtype=np.int64)
     return Nodes(times, np.tile(np.eye(4), (count, 1, 1)), np.arange(count, dtype=np.float64))

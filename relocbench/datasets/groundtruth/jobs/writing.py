@@ -18,7 +18,7 @@ from relocbench.datasets.groundtruth.depth.depth import DepthOptions
 from relocbench.datasets.groundtruth.depth.images import DepthFrame, DepthView, make_depth
 from relocbench.datasets.groundtruth.depth.stereo import StereoPair, stereo_pair
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.datasets.groundtruth.pairs.pairing import Paired
+from relocbench.datasets.groundtruth.pairs.pairing import CameraFrames, Paired
 from relocbench.datasets.groundtruth.registration.scene_scale import scaled
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, RigStream
@@ -41,6 +41,12 @@ class Frames:
     @property
     def times(self) -> tuple[int, ...]:
         return tuple(int(self.stream.times_ns[i]) for i in self.indices)
+
+
+def camera_frames(camera: str, reference: Frames, query: Frames, enlarged: float) -> CameraFrames:
+    """The images of a camera that are paired, its poses on the rigs in metres that are enlarged so many times."""
+    T_rig_refcam, T_rig_querycam = (scaled(frames.stream.T_rig_cam, enlarged) for frames in (reference, query))
+    return CameraFrames(camera, T_rig_refcam, T_rig_querycam, reference.times, query.times)
 
 
 def choose_frames(

@@ -6,9 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import UNCALIBRATED
-from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome, axis_sigmas
 from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
 from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive
@@ -23,10 +21,10 @@ SOURCE = f"Open3D: RANSAC or the last pair, point-to-plane ICP; not verified, {U
 
 def outcomes_of(unit: ChainUnit, pairs: Sequence[Registration]) -> list[PairOutcome]:
     """The outcome of each query image, its covariance the inverse of Open3D's information matrix."""
-    T_rig_refcam, T_rig_querycam = unit.keyframes.T_rig_cam, unit.queries.T_rig_cam
+    T_rig_refcam, T_rig_querycam = unit.images.T_rig_refcam, unit.images.T_rig_querycam
     out = []
     for pair in pairs:
-        times = unit.keyframes.times_ns[pair.ref], unit.queries.times_ns[pair.query]
+        times = unit.images.ref_ns[pair.ref], unit.images.query_ns[pair.query]
         if not np.isfinite(pair.T_ref_query).all():
             out.append(PairOutcome(*times, reason=pair.reason, source=SOURCE))
             continue
@@ -42,7 +40,7 @@ def between_nodes(unit: ChainUnit, pairs: Sequence[Registration], reference: Dri
     """The pairs as registrations of the nearest nodes, one for a node at most, moved along by both odometries."""
     out: dict[int, Registration] = {}
     for pair in pairs:
-        times = unit.keyframes.times_ns[pair.ref], unit.queries.times_ns[pair.query]
+        times = unit.images.ref_ns[pair.ref], unit.images.query_ns[pair.query]
         i, j = reference.nearest_node(times[0]), query.nearest_node(times[1])
         T, information = pair.T_ref_query, pair.information
         if np.isfinite(T).all():
@@ -63,8 +61,10 @@ def placed(registrations: Sequence[Registration], reference: Drive, query: Drive
     if good:
         ways = query.nodes.travelled_m[[r.query for r in good]]
         nearest = np.argmin(np.abs(query.nodes.travelled_m[:, None] - ways[None, :]), axis=1)
-        starts = np.array([_world_of(good[k], reference.nodes, query.nodes) for k in range(len(good))])
-        T_world_query = starts[nearest] @ query.nodes.T_odom_node
+        T_world_odom = [
+            reference.nodes.T_odom_node[r.ref] @ r.T_ref_query @ invert(query.nodes.T_odom_node[r.query]) for r in good
+        ]
+        T_world_query = np.array(T_world_odom)[nearest] @ query.nodes.T_odom_node
     count = len(reference.nodes)
     drives = BothDrives.of(reference.nodes, query.nodes)
     trusted = np.array([*(r.ref for r in good), *(r.query + count for r in good)], dtype=np.int64)
@@ -74,8 +74,3 @@ def placed(registrations: Sequence[Registration], reference: Drive, query: Drive
         PlacedDrive(reference.name, reference.nodes.times_ns, reference.nodes.T_odom_node, way[:count], {}),
         PlacedDrive(query.name, query.nodes.times_ns, T_world_query, way[count:], verdicts),
     )
-
-
-def _world_of(pair: Registration, reference: Nodes, query: Nodes) -> Array:
-    """(4, 4) the query's odometry frame in the reference's, by one pair."""
-    return np.asarray(reference.T_odom_node[pair.ref] @ pair.T_ref_query @ invert(query.T_odom_node[pair.query]))

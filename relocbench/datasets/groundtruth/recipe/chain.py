@@ -14,10 +14,10 @@ from functools import lru_cache
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.datasets.groundtruth.blocks.deskewing import BeamReader
-from relocbench.datasets.groundtruth.blocks.making import BlockOptions
+from relocbench.datasets.groundtruth.blocks.making import BlockOptions, reader_of
 from relocbench.datasets.groundtruth.blocks.nodes import arc_length_along
 from relocbench.datasets.groundtruth.pairs.outcome import nearest_keyframe, too_far
+from relocbench.datasets.groundtruth.pairs.pairing import CameraFrames
 from relocbench.datasets.groundtruth.recipe.open3d_pair import (
     FEWEST_POINTS,
     Cloud,
@@ -31,7 +31,7 @@ from relocbench.datasets.groundtruth.registration.hypotheses import SearchResult
 from relocbench.datasets.groundtruth.registration.submap_pair import NOTHING_JUDGED, unregistered
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.datasets.sensors.recording import FieldRecording
-from relocbench.geometry import invert, path_lengths
+from relocbench.geometry import invert, path_lengths, spaced
 
 Solved = tuple[int, int, Array]
 """a pair that the next one starts from: (reference time, query time, ``T_ref_query`` of the rigs)"""
@@ -41,22 +41,12 @@ _NAN = np.full((4, 4), np.nan)
 
 
 @dataclass(frozen=True, eq=False)
-class ImageTimes:
-    """One camera of a drive: its pose on the rig, and the times of its images."""
-
-    T_rig_cam: Array
-    times_ns: tuple[int, ...]
-
-
-@dataclass(frozen=True, eq=False)
 class ChainUnit:
     """One camera of a query drive and of the reference: a unit of work."""
 
     reference: FieldRecording
     query: FieldRecording
-    camera: str
-    keyframes: ImageTimes
-    queries: ImageTimes
+    images: CameraFrames
     submap_m: float = 60.0
     max_distance_m: float = 5.0
     max_angle_deg: float = 60.0
@@ -65,7 +55,7 @@ class ChainUnit:
     options: Open3dOptions = field(default_factory=Open3dOptions)
 
     def __str__(self) -> str:
-        return f"pairs of {self.query.name} with {self.reference.name}, {self.camera}"
+        return f"pairs of {self.query.name} with {self.reference.name}, {self.images.camera}"
 
 
 def follow(
@@ -75,8 +65,8 @@ def follow(
 ) -> list[Registration]:
     """The pairs of a query drive: one for each query image, in their order.
 
-    ``ref`` and ``query`` of a pair are rows of ``keyframes`` and ``queries``, and its pose is that of the rigs at the
-    times of both images. Its evidence has fitness as ``overlap_query`` and RMSE as ``residual_query_m``.
+    ``ref`` and ``query`` of a pair are numbers of its keyframe and of its query image, and its pose is that of the rigs
+    at the times of both. Its evidence has fitness as ``overlap_query`` and RMSE as ``residual_query_m``.
 
     Args:
         say: takes what a user should know.
@@ -94,12 +84,12 @@ class _Chain:
         submaps = [RawSubmaps(r, unit.submap_m) for r in (unit.reference, unit.query)]
         # A keyframe is often that of several queries.
         self._clouds = [lru_cache(2)(lambda ns, s=s: Cloud.of(s.around(ns), unit.options)) for s in submaps]
-        self._known = unit.query.odometry.covers(np.array(unit.queries.times_ns, dtype=np.int64))
-        keyframes = np.array(unit.keyframes.times_ns, dtype=np.int64)
-        self._T_odom_keyframe = unit.reference.odometry.at(keyframes) @ unit.keyframes.T_rig_cam
+        self._known = unit.query.odometry.covers(np.array(unit.images.query_ns, dtype=np.int64))
+        keyframes = np.array(unit.images.ref_ns, dtype=np.int64)
+        self._T_odom_keyframe = unit.reference.odometry.at(keyframes) @ unit.images.T_rig_refcam
 
     def run(self) -> list[Registration]:
-        count = len(self._unit.queries.times_ns)
+        count = len(self._unit.images.query_ns)
         registrations: dict[int, Registration] = {}
         start, first = self._start()
         if first is not None:
@@ -112,7 +102,7 @@ class _Chain:
         return [registrations.get(row) or self._untried(row, NO_START) for row in range(count)]
 
     def _solved(self, pair: Registration) -> Solved:
-        return self._unit.keyframes.times_ns[pair.ref], self._unit.queries.times_ns[pair.query], pair.T_ref_query
+        return self._unit.images.ref_ns[pair.ref], self._unit.images.query_ns[pair.query], pair.T_ref_query
 
     def _untried(self, row: int, reason: str, keyframe: int = 0) -> Registration:
         if not self._known[row]:
@@ -121,14 +111,14 @@ class _Chain:
 
     def _pair(self, row: int, last: Solved) -> Registration:
         """A query image with its nearest keyframe by the last pair's solution."""
-        unit, time = self._unit, self._unit.queries.times_ns[row]
+        unit, time = self._unit, self._unit.images.query_ns[row]
         if not self._known[row]:
             return self._untried(row, "")
         T_odom_query = self._predicted(last, time)
-        keyframe, reason = self._nearest(T_odom_query @ unit.queries.T_rig_cam)
+        keyframe, reason = self._nearest(T_odom_query @ unit.images.T_rig_querycam)
         if reason:
             return self._untried(row, reason, keyframe)
-        ref_ns = unit.keyframes.times_ns[keyframe]
+        ref_ns = unit.images.ref_ns[keyframe]
         T_ref_query = invert(unit.reference.odometry.at(np.array([ref_ns]))[0]) @ T_odom_query
         return self._refined(keyframe, row, T_ref_query)
 
@@ -150,7 +140,7 @@ class _Chain:
 
     def _refined(self, keyframe: int, row: int, T_ref_query: Array | None) -> Registration:
         """ICP of a pair from a prediction; from that of RANSAC if there is none."""
-        times = self._unit.keyframes.times_ns[keyframe], self._unit.queries.times_ns[row]
+        times = self._unit.images.ref_ns[keyframe], self._unit.images.query_ns[row]
         kind = "search" if T_ref_query is None else "pair"
         result = self._remember(
             f"{kind} {times[0]} {times[1]}",
@@ -174,20 +164,20 @@ class _Chain:
         return Registration(keyframe, row, fit.T_ref_query, fit.information, evidence, reason)
 
     def _offset_m(self, fit: Open3dFit) -> float:
-        T_refcam_querycam = invert(self._unit.keyframes.T_rig_cam) @ fit.T_ref_query @ self._unit.queries.T_rig_cam
+        T_refcam_querycam = invert(self._unit.images.T_rig_refcam) @ fit.T_ref_query @ self._unit.images.T_rig_querycam
         return float(np.linalg.norm(T_refcam_querycam[:3, 3]))
 
     def _start(self) -> tuple[int, Solved | None]:
         """The row of the first query image and a pair near it: by hand, else by global registration."""
         unit = self._unit
-        rows = [row for row in range(len(unit.queries.times_ns)) if self._known[row]]
+        rows = np.flatnonzero(self._known).tolist()
         if not rows:
             return 0, None
+        times = np.array(unit.images.query_ns, dtype=np.int64)[rows]
         if unit.first is not None:
-            times = np.array(unit.queries.times_ns, dtype=np.int64)[rows]
             return rows[int(np.argmin(np.abs(times - unit.first[1])))], unit.first
         # Where the drives do not overlap, the search is repeated further along the query's drive.
-        ways = self._travelled(rows)
+        ways = path_lengths(unit.query.odometry.at(times)[:, :3, 3])
         tried = -np.inf
         reason = ""
         for row, way in zip(rows, ways, strict=True):
@@ -214,9 +204,9 @@ class _Chain:
 
     def _candidates(self, row: int) -> Sequence[int]:
         """The keyframe that is nearest by GNSS; without GNSS keyframes half a submap apart."""
-        unit, time = self._unit, np.array([self._unit.queries.times_ns[row]])
+        unit, time = self._unit, np.array([self._unit.images.query_ns[row]])
         prior = unit.reference.prior, unit.query.prior
-        times = np.array(unit.keyframes.times_ns, dtype=np.int64)
+        times = np.array(unit.images.ref_ns, dtype=np.int64)
         if prior[0] is not None and prior[1] is not None and prior[1].covers(time)[0]:
             known = np.flatnonzero(prior[0].covers(times))
             if len(known):
@@ -224,12 +214,7 @@ class _Chain:
                 apart = np.linalg.norm(predicted - prior[1].at(time)[0, :3, 3], axis=1)
                 near = int(np.argmin(apart))
                 return [int(known[near])] if apart[near] <= unit.submap_m else []
-        return _every(self._T_odom_keyframe[:, :3, 3], unit.submap_m / 2)
-
-    def _travelled(self, rows: Sequence[int]) -> list[float]:
-        at = self._unit.query.odometry.at(np.array(self._unit.queries.times_ns, dtype=np.int64)[list(rows)])
-        steps = np.linalg.norm(np.diff(at[:, :3, 3], axis=0), axis=1)
-        return [0.0, *np.cumsum(steps).tolist()]
+        return spaced(self._T_odom_keyframe[:, :3, 3], unit.submap_m / 2)
 
 
 class RawSubmaps:
@@ -246,11 +231,10 @@ class RawSubmaps:
         Raises:
             DatasetError: odometry and lidars have no time in common.
         """
-        options = BlockOptions()
         self._odometry = recording.odometry
         self._half_m = length_m / 2
         self._way = arc_length_along(recording)
-        self._reader = BeamReader(recording, self._way, options.min_range_m, options.max_range_m, options.min_step_m)
+        self._reader = reader_of(recording, self._way, BlockOptions())
 
     def around(self, time_ns: int) -> Array:
         """(N, 3) points in the frame of the rig at a time that the odometry covers.
@@ -272,13 +256,3 @@ class RawSubmaps:
         if not len(inside):
             return time_ns, time_ns + 1
         return int(min(inside[0], time_ns)), int(max(inside[-1], time_ns)) + 1
-
-
-def _every(positions: Array, apart_m: float) -> list[int]:
-    """Rows of positions (N, 3) of a path, ``apart_m`` of road apart, beginning with the first."""
-    way = path_lengths(positions)
-    chosen: list[int] = []
-    for row, metres in enumerate(way.tolist()):
-        if not chosen or metres - way[chosen[-1]] >= apart_m:
-            chosen.append(row)
-    return chosen
