@@ -18,7 +18,7 @@ from torch.nn import functional
 from baselines.alignment.features.pyramid import FeaturePyramid, level_coordinates
 from baselines.alignment.features.reference import ReferenceFeatures
 from baselines.alignment.features.settings import LM_RELOC_DAMPING, FeatureSettings
-from baselines.alignment.features.solver import FeatureAlignment, align_features_best, coarsest_level
+from baselines.alignment.features.solver import FeatureAlignment, align_features, coarsest_level
 from baselines.alignment.matching import SINGLE_PIXEL, MatchSettings, match_pixels, match_pixels_by_level
 from baselines.alignment.shared.damping import DSO_DAMPING
 from baselines.alignment.shared.levels import ABANDON_FACTOR
@@ -273,7 +273,7 @@ class GnNet:
         rivals = list(matched.poses(self.hypotheses, self.seed))
         if self.matched_start:
             starts = [*(Start(pose, level) for pose in rivals for level in (self.start.level, 0)), *starts]
-        found = align_features_best(reference.features, features, starts, self.settings)
+        found = align_features(reference.features, features, starts, self.settings)
         info = self._info(found)
         if found.failure:
             return TrackResult.failure(found.failure, **info)

@@ -34,6 +34,7 @@ import cv2
 import numpy as np
 
 from baselines.alignment.features.solver import FeatureAlignment, align_features
+from baselines.alignment.shared.starts import Start
 from baselines.feature_pnp.solve import Matches2D3D, ransac_pose
 from baselines.gn_net.correspondence import Landmarks
 from baselines.gn_net.start import MatchedLandmarks, StartSettings, find_landmarks
@@ -126,9 +127,9 @@ def tally_pairs(dataset: Dataset, pairs: list[tuple[PairSet, Pair]], weights: Pa
         features = tracker.features(query.image, query.camera)
         assert truth is not None
         align = partial(align_features, reference.features, features, settings=tracker.settings)
-        from_identity = align(T_start=np.eye(4))
+        from_identity = align(starts=[Start(np.eye(4))])
         tallies["identity"].found.append(right(from_identity, truth))
-        tallies["truth"].found.append(right(align(T_start=truth), truth))
+        tallies["truth"].found.append(right(align(starts=[Start(truth)]), truth))
         for name, (kind, solve) in KINDS.items():
             landmarks, tally = some(reference.landmarks, kind.points), tallies[name]
             since = time.process_time()
@@ -140,7 +141,7 @@ def tally_pairs(dataset: Dataset, pairs: list[tuple[PairSet, Pair]], weights: Pa
                 tally.with_identity.append(right(from_identity, truth))
                 continue
             metres, degrees = off(start, truth)
-            end = align(T_start=start, first_level=kind.level)
+            end = align(starts=[Start(start, kind.level)])
             tally.near.append(metres <= 0.5 and degrees <= 2.0)
             tally.found.append(right(end, truth))
             tally.with_identity.append(right(better(end, from_identity), truth))

@@ -33,7 +33,7 @@ from baselines.alignment.features.kernel import linearize_features, workspace_fo
 from baselines.alignment.features.pyramid import FeaturePyramid
 from baselines.alignment.features.reference import ReferenceFeatures
 from baselines.alignment.features.settings import FeatureSettings
-from baselines.alignment.features.solver import align_features, align_features_best
+from baselines.alignment.features.solver import align_features
 from baselines.alignment.shared.levenberg import STATISTICS
 from baselines.alignment.shared.pyramid import camera_intrinsics, level_camera, with_gradients
 from baselines.alignment.shared.starts import Start, small_rotations
@@ -154,8 +154,9 @@ def main() -> None:
     points = keyframe_points()
     reference = ReferenceFeatures.at_points(points, keyframe)
     settings, start = FeatureSettings(), np.eye(4)
+    alone = [Start(start)]
 
-    found = align_features(reference, query, start, settings)
+    found = align_features(reference, query, alone, settings)
     T_plain, plain_iterations = plain.align(reference, query, start, settings)
     if found.failure:
         raise RuntimeError(found.failure)
@@ -165,9 +166,9 @@ def main() -> None:
         raise RuntimeError(f"the two solvers disagree by {apart_m:.2g} m, {apart_deg:.2g} deg")
     iterations = [outcome.iterations for outcome in found.outcomes]
 
-    compiled_ms = median_ms(lambda: align_features(reference, query, start, settings), repeats)
+    compiled_ms = median_ms(lambda: align_features(reference, query, alone, settings), repeats)
     starts = [Start(start), *(Start(rotation @ start) for rotation in small_rotations())]
-    starts_ms = median_ms(lambda: align_features_best(reference, query, starts, settings), max(3, repeats // 5))
+    starts_ms = median_ms(lambda: align_features(reference, query, starts, settings), max(3, repeats // 5))
     numpy_ms = median_ms(lambda: plain.align(reference, query, start, settings), max(3, repeats // 5))
     one_ms = evaluation_ms(reference, query, 10 * repeats)
     storing_ms = median_ms(lambda: [with_gradients(level.map) for level in query.levels], max(3, repeats // 5))

@@ -32,7 +32,12 @@ class FeaturePoints:
 
     @classmethod
     def at(
-        cls, uv: Array, inverse_depth: Array, values: NDArray[np.floating], camera: Camera, weights: Array | None = None
+        cls,
+        uv: Array,
+        inverse_depth: Array,
+        values: NDArray[np.floating],
+        camera: Camera,
+        weights: NDArray[np.floating] | None = None,
     ) -> FeaturePoints:
         """Points at given pixels with given feature vectors.
 
@@ -86,11 +91,7 @@ class ReferenceFeatures:
 
     @classmethod
     def at_points(
-        cls,
-        points: KeyframePoints,
-        pyramid: FeaturePyramid,
-        weights: Array | None = None,
-        coarse_points: int | None = None,
+        cls, points: KeyframePoints, pyramid: FeaturePyramid, coarse_points: int | None = None
     ) -> ReferenceFeatures:
         """The same points on every level, at fractions of a pixel, with features interpolated bilinearly.
 
@@ -98,17 +99,13 @@ class ReferenceFeatures:
 
         Args:
             points: N pixels of level 0 with inverse depth.
-            pyramid: of the keyframe.
-            weights: (N,) positive; 1 by default. Where the pyramid has confidences, they multiply the weights.
+            pyramid: of the keyframe. Where it has confidences, they are the weights.
             coarse_points: at most so many, evenly spread in their order, on all levels but the two finest, whose maps
                 have fewer pixels than there are points; all by default.
 
         Raises:
-            MethodError: the number of weights is not that of the points, or a weight is not a positive number.
+            MethodError: a confidence is not a positive number.
         """
-        weights = np.ones(len(points)) if weights is None else np.asarray(weights, dtype=np.float64)
-        if weights.shape != (len(points),):
-            raise MethodError(f"{len(points)} points need as many weights, got {weights.shape}")
         known = (points.inverse_depth > 0) & np.isfinite(points.inverse_depth)
         levels = []
         for number, level in enumerate(pyramid.levels):
@@ -119,10 +116,10 @@ class ReferenceFeatures:
             if coarse_points is not None and number >= FULL_LEVELS and len(rows) > coarse_points:
                 rows = rows[np.linspace(0, len(rows) - 1, coarse_points).round().astype(int)]
             uv = uv[rows]
-            values, of_points = sample(level.map, uv), weights[rows]
-            if level.confidence is not None:
-                of_points = of_points * sample(level.confidence, uv)[:, 0]
-            levels.append(FeaturePoints.at(uv, points.inverse_depth[rows], values, level.camera, of_points))
+            weights = None if level.confidence is None else sample(level.confidence, uv)[:, 0]
+            levels.append(
+                FeaturePoints.at(uv, points.inverse_depth[rows], sample(level.map, uv), level.camera, weights)
+            )
         return cls(tuple(levels))
 
     def __len__(self) -> int:

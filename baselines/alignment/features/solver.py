@@ -122,35 +122,14 @@ class FeatureAlignment:
 
 
 def align_features(
-    reference: ReferenceFeatures,
-    query: FeaturePyramid,
-    T_start: Array,
-    settings: FeatureSettings,
-    first_level: int | None = None,
-) -> FeatureAlignment:
-    """Align from one start, beginning with the coarsest level that both sides have and that has enough points.
-
-    Args:
-        reference: points of each level with their features.
-        query: maps of each level, with as many channels.
-        T_start: (4, 4) first guess of T_query_ref.
-        first_level: coarser levels are left out.
-
-    Raises:
-        MethodError: the numbers of channels differ, or a side has no level.
-    """
-    return align_features_best(reference, query, [Start(T_start, first_level)], settings)
-
-
-def align_features_best(
     reference: ReferenceFeatures, query: FeaturePyramid, starts: Sequence[Start], settings: FeatureSettings
 ) -> FeatureAlignment:
-    """Align from several starts and return the alignment of lowest final energy.
+    """Align from one start or several and return the alignment of lowest final energy.
 
-    All starts are aligned on a level before any of them goes on to the next finer one, which those do that are best
-    there: of several that have come to the same pose one; none whose root mean energy is more than ``give_up`` times
-    the lowest; and at most ``kept`` of them. Starts with a finer first level join on it. A failed alignment is returned
-    only if all of them failed.
+    The coarsest level is the last that both sides have with enough points. All starts are aligned on a level before any
+    of them goes on to the next finer one, which those do that are best there: of several that have come to the same
+    pose one; none whose root mean energy is more than ``give_up`` times the lowest; and at most ``kept`` of them.
+    Starts with a finer first level join on it. A failed alignment is returned only if all of them failed.
 
     Args:
         reference: points of each level with their features.
@@ -193,7 +172,7 @@ def align_features_best(
 
 
 def _keep_best(reached: Sequence[_Estimate], level: int, settings: FeatureSettings) -> None:
-    """Give up all but the best of the estimates that have reached a level, see :func:`align_features_best`."""
+    """Give up all but the best of the estimates that have reached a level, see :func:`align_features`."""
     kept: list[_Estimate] = []
     for estimate in sorted(reached, key=lambda each: each.energy):
         worse = kept and estimate.energy > settings.give_up**2 * kept[0].energy

@@ -12,6 +12,7 @@ from refusals import refused
 from baselines.alignment.features.pyramid import FeaturePyramid, level_coordinates, sample
 from baselines.alignment.features.reference import FeaturePoints, ReferenceFeatures
 from baselines.alignment.shared.pyramid import level_camera
+from relocbench.arrays import Indices
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera
 from relocbench.tracking import KeyframePoints
@@ -69,22 +70,24 @@ def test_sampling_is_bilinear_up_to_the_last_pixel() -> None:
     np.testing.assert_array_equal(sample(level_map, corners.astype(float)), level_map[corners[:, 1], corners[:, 0]])
 
 
+def inside(points: KeyframePoints, number: int) -> Indices:
+    """The points that are not within two pixels of a level's border: no others are left out."""
+    uv = level_coordinates(points.uv, number)
+    return np.flatnonzero(np.all((uv >= 2) & (uv <= np.array(level_camera(CAMERA, number).size) - 3), axis=1))
+
+
 def test_points_keep_their_place_and_depth_on_every_level() -> None:
     points = keyframe_points()
-    reference = ReferenceFeatures.at_points(points, pyramid(), np.arange(1.0, len(points) + 1))
+    reference = ReferenceFeatures.at_points(points, pyramid())
     assert len(reference.levels[0]) == len(points)
     for number, level in enumerate(reference.levels):
-        kept = level.weights.astype(int) - 1
-        camera = level_camera(CAMERA, number)
+        kept = inside(points, number)
+        assert np.all(level.weights == 1)
         rays = CAMERA.unproject(points.uv[kept])[0]
         np.testing.assert_allclose(level.points[:2].T, rays[:, :2], atol=1e-6)
         np.testing.assert_allclose(level.points[2], points.inverse_depth[kept], rtol=1e-6)
         exact = features(rays / points.inverse_depth[kept, None], number)
         assert np.quantile(np.abs(level.values - exact), 0.95) < 0.03
-        # Left out are the points within two pixels of the level's border, no others.
-        uv = level_coordinates(points.uv, number)
-        inside = np.all((uv >= 2) & (uv <= np.array(camera.size) - 3), axis=1)
-        np.testing.assert_array_equal(kept, np.flatnonzero(inside))
 
 
 def test_coarse_levels_may_have_fewer_points() -> None:
@@ -98,17 +101,16 @@ def test_coarse_levels_may_have_fewer_points() -> None:
         np.testing.assert_array_equal(thinned.values, level.values[rows])
 
 
-def test_confidences_multiply_the_weights_of_their_level() -> None:
+def test_confidences_are_the_weights_of_their_level() -> None:
     points, maps = keyframe_points(), [level.map for level in pyramid().levels]
     rng = np.random.default_rng(0)
     confidences = [rng.uniform(0.1, 1.0, (*values.shape[:2], 1)) for values in maps]
-    weights = np.arange(1.0, len(points) + 1)
-    plain = ReferenceFeatures.at_points(points, pyramid(), weights)
-    weighted = ReferenceFeatures.at_points(points, FeaturePyramid.from_maps(maps, CAMERA, confidences), weights)
+    plain = ReferenceFeatures.at_points(points, pyramid())
+    weighted = ReferenceFeatures.at_points(points, FeaturePyramid.from_maps(maps, CAMERA, confidences))
     for number, (before, after) in enumerate(zip(plain.levels, weighted.levels, strict=True)):
-        uv = level_coordinates(points.uv[before.weights.astype(int) - 1], number)
+        uv = level_coordinates(points.uv[inside(points, number)], number)
         of_points = bilinear(confidences[number].astype(np.float32), *uv.T)[:, 0]
-        np.testing.assert_allclose(after.weights, before.weights * of_points, rtol=1e-5)
+        np.testing.assert_allclose(after.weights, of_points, rtol=1e-5)
         np.testing.assert_array_equal(after.values, before.values)
 
 
@@ -145,9 +147,8 @@ def test_spread_is_the_features_robust_scale() -> None:
 
 @pytest.mark.parametrize("weights", [[1.0, 0.0], [1.0, -1.0], [1.0, np.nan], [1.0, np.inf], [1.0]])
 def test_weights_must_be_positive_numbers(weights: list[float]) -> None:
-    points = KeyframePoints(np.full((2, 2), 50.0), np.ones(2), np.zeros(2))
     with refused(MethodError, "", None, "weights"):
-        ReferenceFeatures.at_points(points, pyramid(), np.array(weights))
+        FeaturePoints.at(np.full((2, 2), 50.0), np.ones(2), np.zeros((2, 4)), CAMERA, np.array(weights))
 
 
 def test_vectors_must_be_as_many_as_points() -> None:

@@ -18,7 +18,7 @@ from baselines.alignment.direct.solver import align
 from baselines.alignment.features.pyramid import FeaturePyramid
 from baselines.alignment.features.reference import FeaturePoints, ReferenceFeatures
 from baselines.alignment.features.settings import LM_RELOC_DAMPING, FeatureSettings
-from baselines.alignment.features.solver import FeatureAlignment, align_features, align_features_best
+from baselines.alignment.features.solver import FeatureAlignment, align_features
 from baselines.alignment.shared.damping import DSO_DAMPING, Damping
 from baselines.alignment.shared.depth_map import LevelPoints
 from baselines.alignment.shared.pyramid import level_camera
@@ -29,6 +29,7 @@ from relocbench.geometry import Camera, apply, compose, invert, make_transform, 
 
 MOVED = (0.25, -0.1, -0.4, 1.0, -2.0, 1.5)
 MOTION = motion(MOVED[:3], MOVED[3:])
+IDENTITY, TRUTH = [Start(np.eye(4))], [Start(MOTION)]
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +58,7 @@ def changed(features: FeaturePyramid, change: Callable[[Floats], Floats]) -> Fea
 def test_the_pose_is_recovered_from_the_identity(
     reference: ReferenceFeatures, query: FeaturePyramid, per_channel: bool, damping: Damping
 ) -> None:
-    found = align_features(reference, query, np.eye(4), FeatureSettings(per_channel=per_channel, damping=damping))
+    found = align_features(reference, query, IDENTITY, FeatureSettings(per_channel=per_channel, damping=damping))
     metres, degrees = error(found.T_query_ref)
     assert not found.failure
     assert metres < 0.002
@@ -68,7 +69,7 @@ def test_the_pose_is_recovered_from_the_identity(
 
 
 def test_the_same_input_gives_the_same_bytes(reference: ReferenceFeatures, query: FeaturePyramid) -> None:
-    first, second = (align_features(reference, query, np.eye(4), FeatureSettings()) for _ in range(2))
+    first, second = (align_features(reference, query, IDENTITY, FeatureSettings()) for _ in range(2))
     assert first.T_query_ref.tobytes() == second.T_query_ref.tobytes()
     assert first.H.tobytes() == second.H.tobytes()
     assert first.outcomes == second.outcomes
@@ -80,14 +81,14 @@ def test_compiled_and_plain_take_the_same_path(
     reference: ReferenceFeatures, query: FeaturePyramid, per_channel: bool, damping: Damping
 ) -> None:
     settings = FeatureSettings(per_channel=per_channel, damping=damping, cutoff_levels=4)
-    fast = align_features(reference, query, np.eye(4), settings)
+    fast = align_features(reference, query, IDENTITY, settings)
     T, iterations = plain.align(reference, query, np.eye(4), settings)
     np.testing.assert_allclose(fast.T_query_ref, T, atol=1e-4)
     assert abs(sum(iterations) - sum(outcome.iterations for outcome in fast.outcomes)) <= 3
 
     # Two steps a level end far from where both converge to: every step must be the same.
     short = FeatureSettings(per_channel=per_channel, damping=damping, cutoff_levels=4, iterations=(2,))
-    fast = align_features(reference, query, np.eye(4), short)
+    fast = align_features(reference, query, IDENTITY, short)
     T, iterations = plain.align(reference, query, np.eye(4), short)
     np.testing.assert_allclose(fast.T_query_ref, T, atol=1e-6)
     assert iterations == [outcome.iterations for outcome in fast.outcomes]
@@ -102,7 +103,7 @@ def test_one_channel_is_the_intensity_aligner_without_brightness() -> None:
         ours = align_features(
             reference,
             maps,
-            np.eye(4),
+            IDENTITY,
             FeatureSettings(huber=0.3, cutoff=1.0, unit="absolute", cutoff_levels=cutoff_levels),
         )
         intensity = Settings(huber=0.3, cutoff=1.0, cutoff_levels=cutoff_levels, affine=False)
@@ -116,7 +117,7 @@ def test_one_channel_is_the_intensity_aligner_without_brightness() -> None:
 def _found_with(change: Callable[[Floats], Floats], settings: FeatureSettings) -> Array:
     """The pose with the features of both sides changed alike."""
     reference = ReferenceFeatures.at_points(keyframe_points(), changed(pyramid(), change))
-    return align_features(reference, changed(pyramid(MOVED), change), np.eye(4), settings).T_query_ref
+    return align_features(reference, changed(pyramid(MOVED), change), IDENTITY, settings).T_query_ref
 
 
 def test_the_scale_of_features_does_not_matter_in_units_of_their_spread() -> None:
@@ -142,8 +143,8 @@ def test_the_cutoff_keeps_what_shows_something_else_out(reference: ReferenceFeat
         return values
 
     spoilt = changed(query, hide)
-    with_cutoff = align_features(reference, spoilt, MOTION, FeatureSettings(huber=0.1, cutoff=0.3))
-    without = align_features(reference, spoilt, MOTION, FeatureSettings(huber=100, cutoff=100))
+    with_cutoff = align_features(reference, spoilt, TRUTH, FeatureSettings(huber=0.1, cutoff=0.3))
+    without = align_features(reference, spoilt, TRUTH, FeatureSettings(huber=100, cutoff=100))
     assert error(with_cutoff.T_query_ref)[0] < 0.01
     assert error(without.T_query_ref)[0] > 3 * error(with_cutoff.T_query_ref)[0]
     assert with_cutoff.final.saturated > 0.05 * with_cutoff.points
@@ -154,21 +155,31 @@ def test_points_of_small_weight_have_little_say(query: FeaturePyramid) -> None:
     points = keyframe_points()
     wrong = np.arange(len(points)) % 3 == 0
     depth = np.where(wrong, 3.0, 1.0) * points.inverse_depth
-    spoilt = type(points)(points.uv, depth, points.sigma)
+    parts = [
+        ReferenceFeatures.at_points(type(points)(points.uv[some], depth[some], points.sigma[some]), pyramid()).levels
+        for some in (wrong, ~wrong)
+    ]
     settings = FeatureSettings(huber=100, cutoff=100)  # nothing but the weights to help
 
-    def found(weights: Array) -> float:
-        reference = ReferenceFeatures.at_points(spoilt, pyramid(), weights)
-        return error(align_features(reference, query, MOTION, settings).T_query_ref)[0]
+    def found(of_wrong: float) -> float:
+        levels = [
+            FeaturePoints(
+                np.hstack([a.points, b.points]),
+                np.vstack([a.values, b.values]),
+                np.concatenate([np.float32(of_wrong) * a.weights, b.weights]),
+            )
+            for a, b in zip(*parts, strict=True)
+        ]
+        return error(align_features(ReferenceFeatures(tuple(levels)), query, TRUTH, settings).T_query_ref)[0]
 
-    assert found(np.where(wrong, 1e-4, 1.0)) < 0.005
-    assert found(np.ones(len(points))) > 0.05
+    assert found(1e-4) < 0.005
+    assert found(1.0) > 0.05
 
 
 def test_the_cutoff_is_doubled_while_most_residuals_are_saturated(
     reference: ReferenceFeatures, query: FeaturePyramid
 ) -> None:
-    found = align_features(reference, query, np.eye(4), FeatureSettings(huber=0.02, cutoff=0.05, cutoff_levels=4))
+    found = align_features(reference, query, IDENTITY, FeatureSettings(huber=0.02, cutoff=0.05, cutoff_levels=4))
     assert max(outcome.cutoff_factor for outcome in found.outcomes) > 1
     levels = [outcome.level for outcome in found.outcomes]
     assert levels[0] == levels[1]  # the level is repeated once with the base cutoff
@@ -178,25 +189,25 @@ def test_the_cutoff_is_doubled_while_most_residuals_are_saturated(
 def test_the_lowest_final_energy_wins_among_starts(reference: ReferenceFeatures, query: FeaturePyramid) -> None:
     far = motion((3, 2, 0), (20, 30, 20))
     settings = FeatureSettings()
-    lost = align_features(reference, query, far, settings)
+    lost = align_features(reference, query, [Start(far)], settings)
     assert error(lost.T_query_ref)[0] > 1
     for starts in ([Start(far), Start(MOTION)], [Start(MOTION), Start(far)], [Start(far), Start(MOTION, 1)]):
-        assert error(align_features_best(reference, query, starts, settings).T_query_ref)[0] < 0.002
+        assert error(align_features(reference, query, starts, settings).T_query_ref)[0] < 0.002
     with pytest.raises(ValueError, match="start"):
-        align_features_best(reference, query, [], settings)
+        align_features(reference, query, [], settings)
 
 
 def test_a_start_is_given_up_where_its_root_mean_energy_exceeds_the_best_ones_by_the_factor(
     reference: ReferenceFeatures, query: FeaturePyramid
 ) -> None:
     far = motion((3, 2, 0), (20, 30, 20))
-    right, lost = (align_features(reference, query, start, FeatureSettings()) for start in (MOTION, far))
+    right, lost = (align_features(reference, query, [Start(start)], FeatureSettings()) for start in (MOTION, far))
     best = {outcome.level: outcome.energy for outcome in right.outcomes}
     ratio = next((each.energy / best[each.level]) ** 0.5 for each in lost.outcomes)
     assert ratio > 1.1
     for starts in ([Start(far), Start(MOTION)], [Start(MOTION), Start(far)]):
         for factor, on_the_second in ((0.99 * ratio, 1), (1000 * ratio, 2)):
-            found = align_features_best(reference, query, starts, FeatureSettings(give_up=factor))
+            found = align_features(reference, query, starts, FeatureSettings(give_up=factor))
             assert found.starts[-2:] == (on_the_second, 2)
             assert np.array_equal(found.T_query_ref, right.T_query_ref)
 
@@ -208,8 +219,8 @@ def test_only_the_best_of_several_starts_are_kept_after_a_level(
     aside = [Start(motion((metres, 0, 0), (0, 0, 0))) for metres in (6, -6, 9, -9)]
     starts = [*aside, Start(MOTION), Start(MOTION, 1)]
     usual = FeatureSettings(give_up=1e6, min_valid_share=0.0)
-    assert align_features_best(reference, query, starts, usual).starts[3] == 5
-    found = align_features_best(reference, query, starts, replace(usual, kept=(5, 2, 2, 3)))
+    assert align_features(reference, query, starts, usual).starts[3] == 5
+    found = align_features(reference, query, starts, replace(usual, kept=(5, 2, 2, 3)))
     assert found.starts[1:] == (3, 3, 5)
     assert error(found.T_query_ref)[0] < 0.002
 
@@ -220,29 +231,29 @@ def test_a_start_of_which_next_to_nothing_is_in_view_has_failed(
     """The mean energy of the few residuals that are left may be the lowest one."""
     away = Start(motion((0, 0, 0), (0, 58, 0)), 0)
     lenient, strict = FeatureSettings(min_valid_share=0.0, give_up=1e6), FeatureSettings(give_up=1e6)
-    alone = align_features_best(reference, query, [away], lenient)
+    alone = align_features(reference, query, [away], lenient)
     assert not alone.failure
     assert 0 < alone.final.valid < 0.1 * alone.residuals
-    declined = align_features_best(reference, query, [away], strict)
+    declined = align_features(reference, query, [away], strict)
     assert declined.failure == (
         f"only {alone.final.valid} of {alone.residuals} residuals project into the query on level 0"
     )
-    assert error(align_features_best(reference, query, [away, Start(MOTION)], strict).T_query_ref)[0] < 0.002
+    assert error(align_features(reference, query, [away, Start(MOTION)], strict).T_query_ref)[0] < 0.002
 
 
 def test_of_starts_that_come_to_the_same_pose_one_is_kept(reference: ReferenceFeatures, query: FeaturePyramid) -> None:
     starts = [Start(MOTION), Start(np.eye(4)), Start(MOTION, 2)]
-    found = align_features_best(reference, query, starts, FeatureSettings())
+    found = align_features(reference, query, starts, FeatureSettings())
     assert found.starts == (1, 1, 2, 2)
 
 
 def test_a_start_on_a_finer_level_leaves_the_coarser_ones_out(
     reference: ReferenceFeatures, query: FeaturePyramid
 ) -> None:
-    found = align_features(reference, query, MOTION, FeatureSettings(), first_level=1)
+    found = align_features(reference, query, [Start(MOTION, 1)], FeatureSettings())
     assert [outcome.level for outcome in found.outcomes] == [1, 0]
     assert error(found.T_query_ref)[0] < 0.002
-    deepest = align_features(reference, query, MOTION, FeatureSettings(), first_level=99)
+    deepest = align_features(reference, query, [Start(MOTION, 99)], FeatureSettings())
     assert deepest.outcomes[0].level == len(query) - 1
 
 
@@ -262,7 +273,8 @@ def test_every_start_within_a_radius_converges_and_levels_widen_it(
     finest = ReferenceFeatures(reference.levels[:1])
 
     def share(of: ReferenceFeatures, metres: float, degrees: float) -> float:
-        found = [align_features(of, query, start, FeatureSettings()).T_query_ref for start in _starts(metres, degrees)]
+        starts = ([Start(T)] for T in _starts(metres, degrees))
+        found = [align_features(of, query, one, FeatureSettings()).T_query_ref for one in starts]
         return float(np.mean([error(T)[0] < 0.01 for T in found]))
 
     distances = (0.05, 0.5, 1.5, 3.0)
@@ -290,7 +302,7 @@ def test_covariance_tells_how_far_independent_noise_moves_the_pose(
 
     def found_with(noise: NDArray[np.floating]) -> FeatureAlignment:
         noisy = FeaturePoints(points, values + noise.astype(np.float32), weights)
-        return align_features(ReferenceFeatures((noisy,)), query, MOTION, settings)
+        return align_features(ReferenceFeatures((noisy,)), query, TRUTH, settings)
 
     T_exact = found_with(np.zeros_like(values)).T_query_ref
     distances = []
@@ -306,14 +318,14 @@ def test_covariance_tells_how_far_independent_noise_moves_the_pose(
 
 def test_no_points_are_a_stated_trouble(query: FeaturePyramid) -> None:
     nothing = type(keyframe_points())(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
-    found = align_features(ReferenceFeatures.at_points(nothing, pyramid()), query, np.eye(4), FeatureSettings())
+    found = align_features(ReferenceFeatures.at_points(nothing, pyramid()), query, IDENTITY, FeatureSettings())
     assert found.failure == "the reference has 0 points, at least 8 are needed"
     assert (found.inlier_share, found.energy) == (0.0, np.inf)
     assert np.isnan(found.covariance).all()
 
 
 def test_a_start_that_sees_nothing_is_a_stated_trouble(reference: ReferenceFeatures, query: FeaturePyramid) -> None:
-    found = align_features(reference, query, motion((0, 0, -100), (0, 0, 0)), FeatureSettings())
+    found = align_features(reference, query, [Start(motion((0, 0, -100), (0, 0, 0)))], FeatureSettings())
     assert found.failure == "no point falls into the query on level 3"
     assert found.inlier_share == 0
 
@@ -325,7 +337,7 @@ def test_features_that_are_not_finite_are_a_stated_trouble(
 ) -> None:
     maps = [part.map.copy() for part in query.levels]
     maps[level][..., 2] = bad
-    found = align_features(reference, FeaturePyramid.from_maps(maps, CAMERA), np.eye(4), FeatureSettings())
+    found = align_features(reference, FeaturePyramid.from_maps(maps, CAMERA), IDENTITY, FeatureSettings())
     assert "features are not finite at" in found.failure
     assert f"on level {level}" in found.failure
 
@@ -334,7 +346,7 @@ def test_features_that_are_not_finite_are_a_stated_trouble(
     values[5] = bad
     levels[level] = FeaturePoints(levels[level].points, values, levels[level].weights)
     for unit in ("absolute", "spread"):
-        found = align_features(ReferenceFeatures(tuple(levels)), query, MOTION, FeatureSettings(unit=unit))
+        found = align_features(ReferenceFeatures(tuple(levels)), query, TRUTH, FeatureSettings(unit=unit))
         assert "not finite" in found.failure
         assert f"on level {level}" in found.failure
 
@@ -344,13 +356,13 @@ def test_features_that_are_all_the_same_are_a_stated_trouble(
 ) -> None:
     blank = changed(query, np.ones_like)
     same = ReferenceFeatures.at_points(keyframe_points(), blank)
-    assert "singular" in align_features(reference, blank, np.eye(4), FeatureSettings()).failure
-    assert "all the same" in align_features(same, query, np.eye(4), FeatureSettings()).failure
+    assert "singular" in align_features(reference, blank, IDENTITY, FeatureSettings()).failure
+    assert "all the same" in align_features(same, query, IDENTITY, FeatureSettings()).failure
 
 
 def test_a_start_that_is_not_finite_is_a_stated_trouble(reference: ReferenceFeatures, query: FeaturePyramid) -> None:
     assert (
-        align_features(reference, query, np.full((4, 4), np.nan), FeatureSettings()).failure
+        align_features(reference, query, [Start(np.full((4, 4), np.nan))], FeatureSettings()).failure
         == "the start is not finite"
     )
 
@@ -363,16 +375,16 @@ def test_a_coarse_level_with_too_few_points_is_left_out(query: FeaturePyramid) -
     reference = ReferenceFeatures.at_points(few, pyramid())
     sizes = [len(level) for level in reference.levels]
     assert sizes[3] < 8 <= sizes[1]
-    found = align_features(reference, query, MOTION, FeatureSettings())
+    found = align_features(reference, query, TRUTH, FeatureSettings())
     assert max(outcome.level for outcome in found.outcomes) < 3
 
 
 def test_different_channels_are_refused(query: FeaturePyramid) -> None:
     reference = ReferenceFeatures.at_points(keyframe_points(), pyramid(channels=1))
     with refused(MethodError, "", None, 1, 8):
-        align_features(reference, query, np.eye(4), FeatureSettings())
+        align_features(reference, query, IDENTITY, FeatureSettings())
     with refused(MethodError):
-        align_features(ReferenceFeatures(()), query, np.eye(4), FeatureSettings())
+        align_features(ReferenceFeatures(()), query, IDENTITY, FeatureSettings())
 
 
 @pytest.mark.parametrize("changed", [{"huber": 2, "cutoff": 1}, {"huber": 0}])
@@ -386,5 +398,5 @@ def test_a_query_may_be_of_another_camera(reference: ReferenceFeatures) -> None:
     other = Camera("pinhole", 300, 200, 220.0, 215.0, 150.0, 98.0)
     cameras = [level_camera(other, level) for level in range(4)]
     maps = [features(world_points(MOTION, camera), level) for level, camera in enumerate(cameras)]
-    found = align_features(reference, FeaturePyramid.from_maps(maps, other), np.eye(4), FeatureSettings())
+    found = align_features(reference, FeaturePyramid.from_maps(maps, other), IDENTITY, FeatureSettings())
     assert error(found.T_query_ref)[0] < 0.003
