@@ -50,23 +50,6 @@ def read_network(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Tenso
     return about, tensors
 
 
-def read_carded(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    """As :func:`read_network`, of a file whose description has the network's ``options`` and a ``card``.
-
-    Raises:
-        MethodError: the file is missing, damaged or of another kind, or has no options or no card.
-    """
-    about, tensors = read_network(path, kind)
-    if not isinstance(about.get("options"), dict) or not isinstance(about.get("card"), dict):
-        raise MethodError("the metadata has no options or no card", path)
-    return about, tensors
-
-
-def read_card_of(path: Path, kind: str) -> dict[str, str]:
-    """The card in a weights file. Raises MethodError as :func:`read_carded`."""
-    return {str(key): str(value) for key, value in read_carded(path, kind)[0]["card"].items()}
-
-
 def read_tensors(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
     """The metadata and tensors of a safetensors file. Tensors are mapped, and read when they are used.
 

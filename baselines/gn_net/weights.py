@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
+
+from torch import Tensor
 
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.options import NetworkOptions
 from baselines.options import options_from_dict
-from baselines.weights_file import check_enough, fill_network, read_card_of, read_carded, write_network
+from baselines.weights_file import check_enough, fill_network, read_network, write_network
 from relocbench.errors import ConfigError, MethodError
 
 _KIND = "gn-net"
@@ -37,7 +40,7 @@ def load_weights(path: Path) -> FeatureNet:
     Raises:
         MethodError: the file is missing, damaged, of another kind, or does not fit the network that it describes.
     """
-    about, tensors = read_carded(path, _KIND)
+    about, tensors = _read(path)
     try:
         options = options_from_dict(NetworkOptions, about["options"])
     except ConfigError as bad:
@@ -54,4 +57,11 @@ def read_card(path: Path) -> dict[str, str]:
     Raises:
         MethodError: the file is missing, damaged or of another kind.
     """
-    return read_card_of(path, _KIND)
+    return {str(key): str(value) for key, value in _read(path)[0]["card"].items()}
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    about, tensors = read_network(path, _KIND)
+    if not isinstance(about.get("options"), dict) or not isinstance(about.get("card"), dict):
+        raise MethodError("the metadata has no options or no card", path)
+    return about, tensors
