@@ -35,14 +35,10 @@ def nearest_semidefinite(H: Array) -> Array:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def minimum(H: Array, g: Array, open_share: float = 1e-4) -> Array:
-    """``-H^+ g`` (6,): the step to the minimum, with no motion in open directions.
-
-    Args:
-        open_share: a direction with less than this share of the largest eigenvalue of H is open.
-    """
+def minimum(H: Array, g: Array) -> Array:
+    """``-H^+ g`` (6,): the step to the minimum, with no motion along the eigenvectors of small eigenvalues of H."""
     values, vectors = np.linalg.eigh(np.outer(_SCALE, _SCALE) * H)
-    least = open_share * max(values[-1], 1e-300)
+    least = 1e-4 * max(values[-1], 1e-300)
     step = np.zeros(6)
     for k in range(6):
         if values[k] > least:

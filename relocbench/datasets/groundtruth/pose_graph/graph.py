@@ -146,7 +146,7 @@ def optimise(
     runs = find_runs(cross[believed], drives, options.runs)
     candidates, doubtful = trusted.copy(), np.zeros(len(cross), dtype=bool)
     candidates[believed], doubtful[believed] = runs.won, runs.doubtful
-    start = initial_poses(cross[candidates], drives.T_odom_node, drives.travelled_m, drives.segment)
+    start = initial_poses(cross[candidates], drives)
     selected = select(drives, cross, candidates, start, odometry_noise or OdometryNoise(), options)
     verdicts = _verdicts(registrations, cross, candidates, doubtful, selected)
     controlled = selected.used & (selected.tested.redundancy >= _CONTROLLED)
@@ -197,7 +197,7 @@ def _verdicts(
     return tuple(out)
 
 
-def initial_poses(edges: Edges, T_odom_node: Array, travelled_m: Array, segment: Indices) -> Array:
+def initial_poses(edges: Edges, drives: BothDrives) -> Array:
     """Initial poses of all nodes, in the odometry frame of the first segment.
 
     One segment after another is placed relative to those that are placed already, each of its nodes by the registration
@@ -206,13 +206,11 @@ def initial_poses(edges: Edges, T_odom_node: Array, travelled_m: Array, segment:
 
     Args:
         edges: the registrations to use.
-        T_odom_node: (N, 4, 4) of all nodes, each in its own odometry.
-        travelled_m: (N,) arc length of each node along its drive.
-        segment: (N,) number of the segment of odometry that each node lies in.
 
     Returns:
         (N, 4, 4) ``T_world_node``; segments that no registration ties keep their poses by odometry.
     """
+    T_odom_node, travelled_m, segment = drives.T_odom_node, drives.travelled_m, drives.segment
     T_world_node = T_odom_node.copy()
     placed = segment == segment[0]
     while True:
