@@ -28,7 +28,8 @@ def resident_bytes(pid: int) -> int:
     children = descendants(pid)
     if not children:
         return _resident(pid)
-    return sum(_proportional(each) for each in (pid, *children))
+    shares = ((each, _told(each, "smaps_rollup", "Pss:")) for each in (pid, *children))
+    return sum(_resident(each) if share is None else share for each, share in shares)
 
 
 def peak_resident_bytes(pid: int, launchers: int = 0) -> int | None:
@@ -42,16 +43,17 @@ def peak_resident_bytes(pid: int, launchers: int = 0) -> int | None:
     Returns:
         bytes; None where the system does not tell.
     """
-    peaks = [_high_water(each) for each in descendants(pid)[launchers:]]
+    peaks = [_told(each, "status", "VmHWM:") or 0 for each in descendants(pid)[launchers:]]
     return sum(peaks) if any(peaks) else None
 
 
-def _high_water(pid: int) -> int:
+def _told(pid: int, file: str, name: str) -> int | None:
+    """Bytes by a line of a file of a process; None without such a file or line."""
     try:
-        lines = (PROC / str(pid) / "status").read_text().splitlines()
-        return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("VmHWM:"))
+        lines = (PROC / str(pid) / file).read_text().splitlines()
+        return next(int(line.split()[1]) * 1024 for line in lines if line.startswith(name))
     except (OSError, StopIteration):
-        return 0
+        return None
 
 
 def _resident(pid: int) -> int:
@@ -59,14 +61,6 @@ def _resident(pid: int) -> int:
         return int((PROC / str(pid) / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except (OSError, IndexError):
         return 0
-
-
-def _proportional(pid: int) -> int:
-    try:
-        lines = (PROC / str(pid) / "smaps_rollup").read_text().splitlines()
-        return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("Pss:"))
-    except (OSError, StopIteration):
-        return _resident(pid)
 
 
 class Watched(Protocol):
