@@ -17,7 +17,7 @@ from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes, Surface
 from relocbench.datasets.groundtruth.icp.backends import icp_by_backend
 from relocbench.datasets.groundtruth.icp.icp import IcpOptions, Linearised, linearise, linearise_both, run_icp
-from relocbench.datasets.groundtruth.registration import along_drive, lengths
+from relocbench.datasets.groundtruth.registration import along_drive, lengths, place_recognition
 from relocbench.datasets.groundtruth.registration.along_drive import DriveRegistrationOptions, register_along
 from relocbench.datasets.groundtruth.registration.global_registration import (
     GlobalOptions,
@@ -485,7 +485,7 @@ def test_coarser_searches_follow_where_the_first_leads_to_nothing(monkeypatch: p
         asked.append((search.voxel_m, len(search.seeds)))
         return [(4, node, right)] if search.voxel_m > 1.2 else []
 
-    monkeypatch.setattr(along_drive, "guesses_by_features", by_features)
+    monkeypatch.setattr(place_recognition, "guesses_by_features", by_features)
     found, errors, _ = tracked(ref, query)
     assert asked == [(0.7, 3), (1.0, 10), (1.4, 10)]
     assert all(r.trusted for r in found)
@@ -632,7 +632,7 @@ def test_what_is_ambiguous_is_not_searched_on(monkeypatch: pytest.MonkeyPatch) -
         asked.append(search.voxel_m)
         return []
 
-    monkeypatch.setattr(along_drive, "guesses_by_features", nothing_found)
+    monkeypatch.setattr(place_recognition, "guesses_by_features", nothing_found)
     monkeypatch.setattr(
         along_drive, "choose_hypothesis", lambda *a: SearchResult(None, "ambiguous: two poses", ambiguous=True)
     )

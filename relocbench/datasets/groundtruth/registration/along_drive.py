@@ -31,11 +31,7 @@ from relocbench.datasets.groundtruth.registration.lengths import (
     ratio_of_lengths,
     stretch_of_query,
 )
-from relocbench.datasets.groundtruth.registration.place_recognition import (
-    MapPrior,
-    guesses_by_features,
-    guesses_by_prior,
-)
+from relocbench.datasets.groundtruth.registration.place_recognition import MapPrior, guesses_of_node
 from relocbench.datasets.groundtruth.registration.submap_pair import (
     Guess,
     PreparedDrive,
@@ -130,7 +126,9 @@ def register_along(
         say("nothing holds where GNSS puts the drives; they are searched for each other without GNSS")
         apart = float(nodes_query.travelled_m[-1]) / _SEARCHES
         rarely = replace(options, retry_m=max(options.retry_m, apart))
-        alone = _DriveRegistration(ref, query, None, rarely, say, _renamed(remember, " without GNSS"))
+        alone = _DriveRegistration(
+            ref, query, None, rarely, say, lambda key, work: remember(f"{key} without GNSS", work)
+        )
         anew = alone.run(None)
         if any(one.trusted for one in anew):
             say("the drives were found without GNSS, which is wrong for one of them")
@@ -147,10 +145,6 @@ def register_along(
     mismatch = length_mismatch_message(ratio)
     say(mismatch)
     return [replace(one, reason=mismatch) for one in registrations]
-
-
-def _renamed(remember: Remember, suffix: str) -> Remember:
-    return lambda key, work: remember(key + suffix, work)
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,9 +292,7 @@ class _DriveRegistration:
         return None
 
     def _guesses(self, node: int, search: GlobalOptions) -> list[Guess]:
-        if self.prior is not None:
-            return guesses_by_prior(self.ref, self.query, self.prior, node, search)
-        return guesses_by_features(self.ref, self.query, node, search)
+        return guesses_of_node(self.ref, self.query, self.prior, node, search)
 
     def _search(self, node: int, thorough: bool = True) -> SearchResult:
         """Place recognition, with further searches while no guess holds; the reason is that of the first search.

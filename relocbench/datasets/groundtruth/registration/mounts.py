@@ -24,11 +24,7 @@ from relocbench.datasets.groundtruth.registration.hypotheses import (
     settle,
     with_alternatives,
 )
-from relocbench.datasets.groundtruth.registration.place_recognition import (
-    MapPrior,
-    guesses_by_features,
-    guesses_by_prior,
-)
+from relocbench.datasets.groundtruth.registration.place_recognition import MapPrior, guesses_of_node
 from relocbench.datasets.groundtruth.registration.submap_pair import Guess, PreparedDrive, RegisterOptions
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.groundtruth.submaps.submaps import SubmapWindow
@@ -119,10 +115,7 @@ def wrong_mount(
 
     def fitting(drive: PreparedDrive, node: int) -> tuple[float, list[Guess]]:
         """The best fit of guesses, and the guesses."""
-        if prior is not None:
-            guesses = guesses_by_prior(ref, drive, prior, node, quick)
-        else:
-            guesses = guesses_by_features(ref, drive, node, quick)
+        guesses = guesses_of_node(ref, drive, prior, node, quick)
         return max((settle(ref, drive, guess, _SHIFT).fit for guess in guesses), default=0.0), guesses
 
     for node in (int(place * len(query.nodes)) for place in _PLACES):

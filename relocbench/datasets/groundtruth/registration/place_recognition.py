@@ -47,13 +47,13 @@ class MapPrior:
         return int(np.nanargmin(apart)) if np.isfinite(apart).any() else -1
 
 
-def guesses_by_prior(
-    ref: PreparedDrive, query: PreparedDrive, prior: MapPrior, node: int, options: GlobalOptions
+def guesses_of_node(
+    ref: PreparedDrive, query: PreparedDrive, prior: MapPrior | None, node: int, options: GlobalOptions
 ) -> list[Guess]:
     """The prior itself and the guesses by features within its limits, at the nearest reference node; none if that node
-    is too far away to show the same place."""
-    r = prior.nearest(node)
-    if r < 0:
+    is too far away to show the same place. Without a prior of the node, those all along the reference."""
+    r = prior.nearest(node) if prior is not None else -1
+    if prior is None or r < 0:
         return guesses_by_features(ref, query, node, options)
     limits = prior.between(r, node)
     if float(np.linalg.norm(limits.T_ref_query[:3, 3])) > 3 * limits.sigma_m:
