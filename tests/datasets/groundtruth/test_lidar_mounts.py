@@ -17,7 +17,7 @@ from relocbench.datasets.groundtruth.blocks.nodes import make_nodes
 from relocbench.datasets.groundtruth.blocks.store import build_blocks, write_block
 from relocbench.datasets.groundtruth.calibration.correction import CorrectedLidar
 from relocbench.datasets.groundtruth.jobs.mounting import mounting_faults, road_height
-from relocbench.datasets.groundtruth.registration.mounts import MOUNTS, Mount, RemountedStore
+from relocbench.datasets.groundtruth.registration.mounts import MOUNTS, RemountedStore
 from relocbench.datasets.groundtruth.registration.rig_mounts import contradicting_mount
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.importers.robotcar.recording import read_robotcar
@@ -65,12 +65,12 @@ def test_a_ceiling_is_no_road() -> None:
     assert road_height(-np.concatenate([high, floor])) == pytest.approx(1.5, abs=0.1)
 
 
-@pytest.mark.parametrize("mount", MOUNTS[::3], ids=lambda mount: mount.words)
-def test_blocks_are_put_as_the_right_extrinsics_would_have_them(mount: Mount, tmp_path: Path) -> None:
+@pytest.mark.parametrize("words", list(MOUNTS)[::3])
+def test_blocks_are_put_as_the_right_extrinsics_would_have_them(words: str, tmp_path: Path) -> None:
     recording = drive_street(Street(length_m=4.0, sigma=0.01))
-    wrong = mounted(recording, mount.of, 1)
+    wrong = mounted(recording, MOUNTS[words], 1)
     stores = [build_blocks(r, make_nodes(r), tmp_path / str(k)) for k, r in enumerate((recording, wrong))]
-    again = RemountedStore(stores[1].folder, {1: wrong.lidars[1].T_rig_lidar}, mount.of)
+    again = RemountedStore(stores[1].folder, {1: wrong.lidars[1].T_rig_lidar}, MOUNTS[words])
     right, found = stores[0].get(0), again.get(0)
     own = [block.points[block.lidar == 1] for block in (right, found)]
     apart = np.linalg.norm(own[0][:, None] - own[1][None], axis=2)
@@ -84,9 +84,10 @@ def test_lidars_of_one_drive_that_contradict_each_other_are_named(robotcar_built
     right = Drive(recording, make_nodes(recording), robotcar_built.root / "groundtruth" / "blocks" / recording.name)
     assert contradicting_mount(right) == ""
     one, other = recording.lidars
-    wrong = RemountedStore(right.blocks, {1: np.asarray(other.T_rig_lidar)}, MOUNTS[0].of)
+    turned = next(iter(MOUNTS.values()))
+    wrong = RemountedStore(right.blocks, {1: np.asarray(other.T_rig_lidar)}, turned)
     for node in range(len(right.nodes)):
         write_block(tmp_path / f"{node:06d}.npz", wrong.get(node))
-    lidars = one, remounted(other, MOUNTS[0].of)
+    lidars = one, remounted(other, turned)
     spoilt = Drive(replace(recording, lidars=lidars), right.nodes, tmp_path)
     assert_names(contradicting_mount(spoilt), "", None, recording.name, "180 deg")

@@ -137,7 +137,7 @@ def test_a_unit_that_explains_sizes_is_guessed_and_sizes_that_agree_need_none(
     a: float, b: float, factor: float | None
 ) -> None:
     guesses = unit_guesses(a, b)
-    assert (guesses[0].factor if guesses else None) == factor
+    assert (guesses[0][0] if guesses else None) == factor
 
 
 @given(seed=st.integers(0, 1000))

@@ -110,11 +110,11 @@ def register_clouds(
         found = replace(found, copied=copied_share(a.points, b.points, found.T_a_b))
     if found.trusted:
         return found
-    for guess in unit_guesses(sizes[0].radius_m, sizes[1].radius_m) if o.initial is None else []:
-        scaled = _scaled(b, guess.factor)
+    for factor, words in unit_guesses(sizes[0].radius_m, sizes[1].radius_m) if o.initial is None else []:
+        scaled = _scaled(b, factor)
         scale = scale_of([sizes[0], _size(scaled)], o.factor)
-        if _register(a, scaled, scale, o, reporter, f"registering with B times {guess.factor:g}").trusted:
-            reason = f"units: B times {guess.factor:.4g} fits A and would be trusted: {guess.words}?"
+        if _register(a, scaled, scale, o, reporter, f"registering with B times {factor:g}").trusted:
+            reason = f"units: B times {factor:.4g} fits A and would be trusted: {words}?"
             return replace(found, reason=reason)
     return found
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 _METRES_A_UNIT = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048, "kilometres": 1000.0}
@@ -13,17 +11,12 @@ HOPELESS = 6.0
 """ratio of sizes from which two clouds have too little in common to be registered: 1/36 of the surfaces"""
 
 
-@dataclass(frozen=True)
-class UnitGuess:
-    """A unit that would explain why one cloud is so much larger than the other."""
+def unit_guesses(radius_a_m: float, radius_b_m: float) -> list[tuple[float, str]]:
+    """The units that would make the sizes of two clouds agree, if one is in metres; none if they agree as they are.
 
-    factor: float
-    """by which B's coordinates are multiplied to have A's unit"""
-    words: str
-
-
-def unit_guesses(radius_a_m: float, radius_b_m: float) -> list[UnitGuess]:
-    """The units that would make the sizes of two clouds agree, if one is in metres; none if they agree as they are."""
+    Returns:
+        for each, the factor by which B's coordinates are multiplied to have A's unit, and words.
+    """
     ratio = radius_a_m / radius_b_m
     if 1 / _WITHIN < ratio < _WITHIN:
         return []
@@ -31,5 +24,5 @@ def unit_guesses(radius_a_m: float, radius_b_m: float) -> list[UnitGuess]:
     for unit, metres in _METRES_A_UNIT.items():
         for factor, words in ((metres, f"B in {unit}, A in metres"), (1 / metres, f"A in {unit}, B in metres")):
             if abs(np.log(ratio / factor)) < np.log(_WITHIN):
-                out.append(UnitGuess(factor, words))
-    return sorted(out, key=lambda guess: abs(float(np.log(ratio / guess.factor))))
+                out.append((factor, words))
+    return sorted(out, key=lambda guess: abs(float(np.log(ratio / guess[0]))))

@@ -9,7 +9,7 @@ extrinsics are wrong.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,15 +43,6 @@ _THRESHOLDS = Thresholds(least_overlap=0.4, most_violations=0.05, least_detail=0
 """blocks that were cut with wrong extrinsics lack points, so that much is not found again; what is there must fit"""
 
 
-@dataclass(frozen=True)
-class Mount:
-    """A typical error of extrinsics, undone."""
-
-    words: str
-    of: Callable[[Array], Array]
-    """extrinsics (4, 4) as they are given -> as they would be"""
-
-
 def _turned(axis: int) -> Callable[[Array], Array]:
     rotation = so3_exp(np.pi * np.eye(3)[axis])
     return lambda T: make_transform(rotation @ T[:3, :3], T[:3, 3])
@@ -61,12 +52,13 @@ def _mirrored(T: Array) -> Array:
     return make_transform(np.diag([1.0, -1.0, 1.0]) @ T[:3, :3], T[:3, 3])
 
 
-MOUNTS = (
-    Mount("turned by 180 deg about the vertical axis", _turned(2)),
-    Mount("with left and right exchanged", _mirrored),
-    Mount("upside down", _turned(0)),
-    Mount("with their extrinsics inverted", invert),
-)
+MOUNTS: dict[str, Callable[[Array], Array]] = {
+    "turned by 180 deg about the vertical axis": _turned(2),
+    "with left and right exchanged": _mirrored,
+    "upside down": _turned(0),
+    "with their extrinsics inverted": invert,
+}
+"""typical errors of extrinsics, undone: words -> extrinsics (4, 4) as they are given -> as they would be"""
 
 
 class RemountedStore(BlockStore):
@@ -142,5 +134,5 @@ def remounted(query: Drive) -> Iterator[tuple[str, BlockStore]]:
     groups = [every] if len(lidars) == 1 else [every, *({number: T} for number, T in every.items())]
     for chosen in groups:
         names = " and ".join(lidars[number].name for number in chosen)
-        for mount in MOUNTS:
-            yield f"{names} {mount.words}", RemountedStore(query.blocks, chosen, mount.of)
+        for words, how in MOUNTS.items():
+            yield f"{names} {words}", RemountedStore(query.blocks, chosen, how)
