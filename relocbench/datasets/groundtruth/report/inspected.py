@@ -13,7 +13,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.groundtruth.blocks.store import BlockStore
-from relocbench.datasets.groundtruth.calibration.files import CalibrationFile, read_calibration
+from relocbench.datasets.groundtruth.calibration.files import read_calibration
 from relocbench.datasets.groundtruth.pairs.reasons import by_kind, common, kind_of
 from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive, read_graph
 from relocbench.datasets.groundtruth.pose_graph.selection import evenly_spaced
@@ -26,7 +26,7 @@ from relocbench.geometry import invert
 
 _KINDS = 4
 """number of kinds of rejection that are drawn; the table has all"""
-_FOLDER = "groundtruth"
+FOLDER = "groundtruth"
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,25 +78,16 @@ def inspected_sets(dataset: Dataset, pair_sets: Sequence[PairSet]) -> list[Inspe
     Raises:
         DatasetError: there are none, or a file of the ground truth is missing or damaged.
     """
-    folder = dataset.root / _FOLDER
+    folder = dataset.root / FOLDER
     if not folder.is_dir():
         sources = sorted({p.source for s in pair_sets for p in s.pairs if p.source})
         message = f"; its truth is of '{', '.join(sources)}'" if sources else ""
-        raise DatasetError(f"no ground truth from lidar (there is no folder {_FOLDER}){message}", dataset.root)
+        raise DatasetError(f"no ground truth from lidar (there is no folder {FOLDER}){message}", dataset.root)
     inspected = [s for s in pair_sets if _graph_file(folder, s).exists()]
     if not inspected:
         names = ", ".join(s.name for s in pair_sets) or "any pair set"
         raise DatasetError(f"no pose graph of {names}", folder / "graph")
     return [_inspect(dataset, folder, pair_set) for pair_set in inspected]
-
-
-def inspected_calibration(dataset: Dataset) -> CalibrationFile:
-    """What is known of the lidars' calibration; without lidars if it was not estimated.
-
-    Raises:
-        DatasetError: its file is damaged.
-    """
-    return read_calibration(dataset.root / _FOLDER)
 
 
 def _graph_file(folder: Path, pair_set: PairSet) -> Path:

@@ -12,13 +12,8 @@ from pathlib import Path
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
-from relocbench.datasets.groundtruth.report.inspected import (
-    InspectedSet,
-    Spot,
-    chosen_spots,
-    inspected_calibration,
-    inspected_sets,
-)
+from relocbench.datasets.groundtruth.calibration.files import read_calibration
+from relocbench.datasets.groundtruth.report.inspected import FOLDER, InspectedSet, Spot, chosen_spots, inspected_sets
 from relocbench.datasets.groundtruth.report.overlay_picture import write_overlay
 from relocbench.datasets.groundtruth.report.page import DrawnSet, DrawnSpot, write_page
 from relocbench.datasets.groundtruth.report.residual_picture import measure_residuals, write_residuals
@@ -55,7 +50,7 @@ def write_ground_truth(
                 advance(1)
             drawn.append(DrawnSet(one, residuals, f"{one.name}/map.png", tuple(pictures)))
     write_residuals(folder / "residuals.png", [(d.found, d.residuals) for d in drawn])
-    write_page(folder / "index.html", dataset, drawn, "residuals.png", inspected_calibration(dataset))
+    write_page(folder / "index.html", dataset, drawn, "residuals.png", read_calibration(dataset.root / FOLDER))
     return folder / "index.html"
 
 
