@@ -39,6 +39,8 @@ T_NODE_CAM = make_transform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), [0,
 """node: x forward, y left, z up, on the road"""
 T_CAM_NODE = invert(T_NODE_CAM)
 EXACT = DepthNoise(range_m=1e-3, surface_m=0.0, along_per_m=0.0, across_per_m=0.0)
+THROUGH_ALL = DepthOptions(noise=EXACT, through_m=np.inf)
+"""no sight line ends in a shadow"""
 Rectangle = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 """a corner and two sides"""
 
@@ -130,7 +132,7 @@ def test_nothing_is_seen_through_a_wall() -> None:
 def test_a_wall_scanned_with_large_gaps_shows_no_background_and_invents_no_surface() -> None:
     # Beams every 0.8 m: further apart than points of a closed surface, nearer than what a hole may show.
     sparse = sampled([SCREEN], spacing=(0.1, 0.8))
-    found = submap_depth(joined(sampled([END]), sparse), CAMERA, T_CAM_NODE, DepthOptions(noise=EXACT, cell_m=0))
+    found = submap_depth(joined(sampled([END]), sparse), CAMERA, T_CAM_NODE, THROUGH_ALL)
     inner = exact([((10.0, -1.7, 0.5), (0, 2.4, 0), (0, 0, 2.0))]) > 0
     assert not (found.depth[inner] > 10.5).any()
     assert (found.depth[inner] > 0).mean() < 0.6
@@ -153,7 +155,7 @@ def test_the_side_of_a_box_that_was_never_scanned_does_not_show_what_is_behind()
     names = ("points", "normals", "origins", "surface", "steady", "block")
     scene = Submap(*(getattr(scene, n)[~behind] for n in names))
     front = exact([((6.0, 2.2, 0.4), (0, 1.4, 0), (0, 0, 1.0))]) > 0
-    seeing = submap_depth(scene, CAMERA, T_CAM_NODE, DepthOptions(noise=EXACT, cell_m=0))
+    seeing = submap_depth(scene, CAMERA, T_CAM_NODE, THROUGH_ALL)
     found = submap_depth(scene, CAMERA, T_CAM_NODE, DepthOptions(noise=EXACT))
     assert (seeing.depth[front] > 7).mean() > 0.2
     assert (found.depth[front] > 7).mean() < 0.1 * (seeing.depth[front] > 7).mean()
@@ -162,7 +164,7 @@ def test_the_side_of_a_box_that_was_never_scanned_does_not_show_what_is_behind()
 def test_unsteady_points_are_left_out() -> None:
     screen = sampled([SCREEN])
     gone = replace(screen, steady=np.zeros(len(screen), np.float32))
-    found = submap_depth(joined(sampled([END]), gone), CAMERA, T_CAM_NODE, DepthOptions(noise=EXACT, cell_m=0))
+    found = submap_depth(joined(sampled([END]), gone), CAMERA, T_CAM_NODE, THROUGH_ALL)
     upper = exact([((10.0, -2.0, 1.0), (0, 3.0, 0), (0, 0, 2.0))]) > 0
     assert (np.abs(found.depth[upper] - 20.0) < 0.1).all()
 

@@ -64,7 +64,7 @@ class DepthOptions:
     occlusion_margin_m: float = 0.25
     """surfaces further than this, plus 2 % of their depth, behind something that hides are not shown"""
     cell_m: float = 0.3
-    """size of the cells of space that are classified by beams; 0: sight lines are not tested"""
+    """size of the cells of space that are classified by beams"""
     shadow_m: float = 2.5
     """length of the shadow behind a point"""
     through_m: float = 0.3
@@ -80,8 +80,7 @@ class DepthScene:
     """A submap prepared for drawing the depth of any number of images."""
 
     surfels: Surfels
-    space: TracedSpace | None
-    """None: sight lines are not tested"""
+    space: TracedSpace
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +101,7 @@ class DepthImage:
 def make_scene(submap: Submap, options: DepthOptions | None = None) -> DepthScene:
     """The part of drawing depth that does not depend on the camera."""
     options = options or DepthOptions()
-    space = trace_beams(submap, options.cell_m, options.max_depth_m, options.shadow_m) if options.cell_m > 0 else None
+    space = trace_beams(submap, options.cell_m, options.max_depth_m, options.shadow_m)
     return DepthScene(make_surfels(submap, options.surfels), space)
 
 
@@ -123,10 +122,9 @@ def scene_depth(
     options = options or DepthOptions()
     view = _seen_by(scene.surfels, camera, np.asarray(T_cam_node, dtype=np.float64), options)
     drawn = draw(view, camera, options.max_depth_m, options.sigmas, options.slack_m)
-    occlusion = draw_occlusion(view, camera, options.max_depth_m)
-    if scene.space is not None:
-        limits = options.max_depth_m, options.start_m, options.through_m
-        occlusion = np.minimum(occlusion, sight_limits(scene.space, camera, T_cam_node, OCCLUSION_STEP, *limits))
+    limits = options.max_depth_m, options.start_m, options.through_m
+    in_sight = sight_limits(scene.space, camera, T_cam_node, OCCLUSION_STEP, *limits)
+    occlusion = np.minimum(draw_occlusion(view, camera, options.max_depth_m), in_sight)
     kept = (drawn.depth > 0) & ~_occluded(drawn, occlusion, options)
     kept &= ~((drawn.centre < options.least_centre) & (drawn.behind > drawn.centre))
     # Points without a plane are kept where depth is closed around them: a car's corner is, a leaf before a wall is not.
@@ -182,8 +180,6 @@ def _occluded(drawn: Drawn, occlusion: Floats, options: DepthOptions) -> Mask:
 
 def _without_specks(kept: Mask, least: int) -> Mask:
     """The mask (H, W) without connected patches of fewer than ``least`` pixels."""
-    if least <= 1:
-        return kept
     _, labels, stats, _ = cv2.connectedComponentsWithStats(kept.astype(np.uint8), connectivity=4)
     large = stats[:, cv2.CC_STAT_AREA] >= least
     out: Mask = kept & large[labels]
