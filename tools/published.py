@@ -81,7 +81,14 @@ PAGES = (
     Page(
         "leaderboard/weather/cross_weather.md",
         "make leaderboard-weather",
-        ("benchmarks/publish/cross_weather.py", "benchmarks/publish/districts.py", *_TOWN, *_TRACKING, *_TRACKERS),
+        (
+            "benchmarks/publish/cross_weather.py",
+            "benchmarks/publish/districts.py",
+            "benchmarks/publish/groups.py",
+            *_TOWN,
+            *_TRACKING,
+            *_TRACKERS,
+        ),
     ),
     Page(
         "leaderboard/relocalization/relocalization.md",

@@ -29,12 +29,8 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
-import sys
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -43,28 +39,30 @@ import numpy as np
 import pandas as pd
 from archives import pack, unpack
 from districts import COUNT, PHRASE
+from groups import (
+    FLOORS,
+    METRICS,
+    Group,
+    Listed,
+    commit,
+    difference_table,
+    differences,
+    run,
+)
 
 from baselines.gn_net.method import ALONG, TURNS_DEG
 from baselines.gn_net.tracker import ONE_START
-from relocbench.arrays import Array
 from relocbench.datasets.importers.edition.districts import District, districts
 from relocbench.evaluation.common.results import all_results
 from relocbench.evaluation.tables.errors import read_errors
 from relocbench.evaluation.tables.schema import ALL
 from relocbench.metrics import (
     CONFIDENT,
-    LEVEL,
-    Difference,
     DifferentPlaces,
     PoseErrors,
-    by_place,
-    controlled,
-    in_points,
     metric_named,
-    paired_difference,
 )
 
-METRICS = ("recall@(0.25m,2deg)", "t_auc@0.5m", "r_auc@0.5deg")
 METHODS = (
     "identity",
     "clock",
@@ -107,24 +105,6 @@ SETTINGS = (
 """``dso-along`` starts from the poses of ``gn-net-from-prior``, and ``gn-net-one-start`` from the keyframe's alone. A
 drive has 52 images: ``cache_size`` saves the network's passes over images that other pair sets of a district showed. No
 seconds are printed."""
-FLOORS = ("identity", "clock")
-QUESTIONS = {
-    ("gn-net", "aliked-pnp"): "align learned features, or match others",
-    ("gn-net-from-prior", "sift-pnp"): "align without a match, or match classical features",
-    ("gn-net-from-prior", "orb-pnp"): "align without a match, or match classical features",
-    ("aliked-pnp", "sift-pnp"): "match learned or classical features",
-    ("aliked-pnp", "orb-pnp"): "match learned or classical features",
-    ("gn-net-from-prior", "dso-along"): "learned features or grey levels, from the same starts",
-    ("gn-net-from-prior", "gn-net-one-start"): "what starts along the road add",
-    ("gn-net", "gn-net-from-prior"): "what a start from matches adds",
-    ("gn-net", "gn-net-pnp"): "what alignment adds to its own matches",
-    ("gn-net-from-aliked-pnp", "aliked-pnp"): "what alignment adds to another method's pose",
-    ("dso-from-orb-pnp", "orb-pnp"): "what grey levels add to another method's pose",
-    ("dso-from-gn-net-pnp", "gn-net-pnp"): "what grey levels add to another method's pose",
-    ("gn-net", "gn-net-contrastive"): "all losses, or the contrastive one alone",
-    ("gn-net", "lm-net"): "encoder, data, losses and starts along the road",
-}
-"""by two methods, the question that the first less the second answers: all differences that the page lists"""
 STARTS = {
     "sift-pnp": "its matches",
     "orb-pnp": "its matches",
@@ -170,8 +150,6 @@ STEPS, SPEED_MPS = 52, 40
 """images of a drive and its speed: at 10 images a second, 204 m of road"""
 ELSEWHERE = 8
 """pairs of different places in each pair set"""
-COMPARED = METRICS[0], METRICS[2]
-"""metrics of differences"""
 DISTANCES_M = (0.0, 0.25, 0.5, 1.0, 2.0, 3.0, 3.9, 4.3, np.inf)
 _HEAD = """# Across weathers
 
@@ -183,49 +161,6 @@ failures count as infinite errors. Keyframes within a condition are 4 m away, so
 confident, among confident answers it does not count. Printed by commit {commit}; which commit evaluated the methods
 stands in the [ledger](../LEDGER.md).
 """
-
-_OF_DIFFERENCES = """\
-Percentage points by which the first method is ahead of the second, with the 95 % interval of each difference by itself,
-and its p value over all {count} differences of this page: the probability of one as clear anywhere among them if no two
-methods differed, counted over all signs of the districts' differences ([how](../../docs/statistics.md)). **A star means
-that the methods differ, with one error rate of 5 % for the whole page.** An interval without zero that has no star may
-be chance: among so many, some are.
-"""
-
-
-@dataclass(frozen=True, eq=False)
-class Group:
-    """A group of pairs that are evaluated together."""
-
-    name: str
-    rows: pd.DataFrame
-    """one row for each method and pair, with its district, step, pair_set and the per-pair value of each metric"""
-
-    @property
-    def pairs(self) -> int:
-        return len(self.rows) // self.rows["method"].nunique()
-
-    def mean(self, method: str, metric: str) -> float:
-        """The mean over the districts of the mean over a district's pair sets."""
-        return float(np.mean([series.mean() for series in self.by_step[method, metric]]))
-
-    def ahead(self, method: str, other: str, metric: str) -> Difference:
-        """The difference of ``method`` to ``other``, over the steps of the drives."""
-        a, b = self.by_step[method, metric], self.by_step[other, metric]
-        return paired_difference(a, b, roads=range(len(a)))
-
-    @cached_property
-    def by_step(self) -> dict[tuple[str, str], list[Array]]:
-        """By method and metric: one series for each district, by the step of the queries."""
-        found: dict[tuple[str, str], list[Array]] = {}
-        for method, of_method in self.rows.groupby("method"):
-            for _, district in of_method.groupby("district"):
-                sets = [of for _, of in district.groupby("pair_set")]
-                steps = [of["step"].to_numpy() for of in sets]
-                for metric in METRICS:
-                    series = by_place([of[metric].to_numpy() for of in sets], steps)
-                    found.setdefault((str(method), metric), []).append(series)
-        return found
 
 
 def main() -> None:
@@ -261,14 +196,14 @@ def main() -> None:
     together, single = _groups(rows)
     wrong = _wrong_table(together, methods)
     apart = _by_distance(rows)
-    listed = differences([*together, *apart], methods)
+    listed = differences([*together, *apart])
     tables = "\n".join(
         [
             *_absent(absent),
             *far,
             *_distance_table(together),
             *_tables([*together, *apart], single, methods),
-            *_difference_table(listed),
+            *difference_table(listed),
             *wrong,
             *_confidence_table(together, methods),
             *_by_district_table(together[-1], [method for method in methods if method not in FLOORS]),
@@ -278,7 +213,7 @@ def main() -> None:
     print(tables)
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)
-        (options.out / "cross_weather.md").write_text(f"{_HEAD.format(commit=_commit())}{tables}\n")
+        (options.out / "cross_weather.md").write_text(f"{_HEAD.format(commit=commit())}{tables}\n")
     places = {method: found.to_dict() for method, found in elsewhere.items()}
     print(json.dumps({"benchmark": "cross_weather", **_claims(together, listed, methods), "different places": places}))
 
@@ -335,17 +270,6 @@ def _absent(methods: Sequence[str]) -> list[str]:
 def packed(errors: Path | None, district: District, label: str) -> Path:
     """The archive of a method's results in a district; without a folder of them one that does not exist."""
     return (errors or Path("nowhere")) / f"{district.number:02d}" / f"{label}.tar.xz"
-
-
-def _commit() -> str:
-    """The commit of the repository, with a plus if files differ from it."""
-    asked = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty=+", "--abbrev=12"]
-    return subprocess.run(asked, check=True, capture_output=True, text=True).stdout.strip()
-
-
-def run(*words: object) -> None:
-    """Run a relocbench command; its messages go to standard error."""
-    subprocess.run([sys.executable, "-m", "relocbench", *map(str, words)], check=True, stdout=sys.stderr)
 
 
 def _errors(results: Path, methods: Sequence[str]) -> tuple[pd.DataFrame, dict[str, DifferentPlaces]]:
@@ -497,51 +421,6 @@ def _share_table(groups: list[Group], metric: str, methods: Sequence[str]) -> li
         cells = [f"{100 * group.mean(method, metric):.1f}" for group in groups]
         lines.append(f"| {method} | {STARTS.get(method, '')} | {' | '.join(cells)} |")
     return lines
-
-
-Listed = dict[tuple[tuple[str, str], str, str], Difference]
-"""the differences of a page by the two methods, the group and the metric"""
-
-
-def differences(groups: Sequence[Group], methods: Sequence[str]) -> Listed:
-    """All differences that the page lists, with one error rate."""
-    keys = [
-        (both, group, metric)
-        for both in QUESTIONS
-        if set(both) <= set(methods)
-        for group in groups
-        for metric in COMPARED
-    ]
-    found = [group.ahead(*both, metric) for both, group, metric in keys]
-    return {
-        (both, group.name, metric): difference
-        for (both, group, metric), difference in zip(keys, controlled(found), strict=True)
-    }
-
-
-def _difference_table(listed: Listed) -> list[str]:
-    """What the first of two methods has more than the second."""
-    if not listed:
-        return []
-    lines = [f"\n## Differences\n\n{_OF_DIFFERENCES.format(count=len(listed))}"]
-    lines += [f"| methods | question | group |{''.join(f' {metric} | p |' for metric in COMPARED)}"]
-    lines += [f"|---|---|---|{'---:|---:|' * len(COMPARED)}"]
-    last = None
-    for both, group in dict.fromkeys(key[:2] for key in listed):
-        cells = []
-        for metric in COMPARED:
-            found = listed[both, group, metric]
-            cells += [in_points(found), "" if found.adjusted_p is None else p_text(found.adjusted_p)]
-        question = "" if both == last else QUESTIONS[both]
-        lines.append(f"| {both[0]} less {both[1]} | {question} | {group} | {' | '.join(cells)} |")
-        last = both
-    return lines
-
-
-def p_text(p: float) -> str:
-    """A p value with two digits, which rounding does not move to the other side of 0.05."""
-    text = f"{p:.2g}"
-    return text if (float(text) <= 1 - LEVEL + 1e-12) == (p <= 1 - LEVEL) else f"{p:.3g}"
 
 
 def _wrong_table(together: list[Group], methods: Sequence[str]) -> list[str]:

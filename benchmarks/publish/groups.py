@@ -1,0 +1,168 @@
+"""What published pages compare methods on: groups of pairs, their shares, and the differences that answer a question.
+
+Districts count alike, and so do the pair sets of a district, which are one series by the place along the drive
+(``docs/statistics.md``).
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from relocbench.arrays import Array
+from relocbench.metrics import (
+    LEVEL,
+    Difference,
+    Interval,
+    by_place,
+    controlled,
+    in_points,
+    mean_interval,
+    paired_difference,
+)
+
+METRICS = ("recall@(0.25m,2deg)", "t_auc@0.5m", "r_auc@0.5deg")
+FLOORS = ("identity", "clock")
+QUESTIONS = {
+    ("gn-net", "aliked-pnp"): "align learned features, or match others",
+    ("gn-net-from-prior", "sift-pnp"): "align without a match, or match classical features",
+    ("gn-net-from-prior", "orb-pnp"): "align without a match, or match classical features",
+    ("aliked-pnp", "sift-pnp"): "match learned or classical features",
+    ("aliked-pnp", "orb-pnp"): "match learned or classical features",
+    ("gn-net-from-prior", "dso-along"): "learned features or grey levels, from the same starts",
+    ("gn-net-from-prior", "gn-net-one-start"): "what starts along the road add",
+    ("gn-net", "gn-net-from-prior"): "what a start from matches adds",
+    ("gn-net", "gn-net-pnp"): "what alignment adds to its own matches",
+    ("gn-net-from-aliked-pnp", "aliked-pnp"): "what alignment adds to another method's pose",
+    ("dso-from-orb-pnp", "orb-pnp"): "what grey levels add to another method's pose",
+    ("dso-from-gn-net-pnp", "gn-net-pnp"): "what grey levels add to another method's pose",
+    ("gn-net", "gn-net-contrastive"): "all losses, or the contrastive one alone",
+    ("gn-net", "lm-net"): "encoder, data, losses and starts along the road",
+}
+"""by two methods, the question that the first less the second answers: all differences that the page lists"""
+COMPARED = METRICS[0], METRICS[2]
+"""metrics of differences"""
+_OF_DIFFERENCES = """\
+Percentage points by which the first method is ahead of the second, with the 95 % interval of each difference by itself,
+and its p value over all {count} differences of this page: the probability of one as clear anywhere among them if no two
+methods differed, counted over all signs of the districts' differences ([how](../../docs/statistics.md)). **A star means
+that the methods differ, with one error rate of 5 % for the whole page.** An interval without zero that has no star may
+be chance: among so many, some are.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """A group of pairs that are evaluated together."""
+
+    name: str
+    rows: pd.DataFrame
+    """one row for each method and pair, with its district, step, pair_set and the per-pair value of each metric"""
+
+    @property
+    def pairs(self) -> int:
+        return int(self.rows["method"].value_counts().max())
+
+    @property
+    def districts(self) -> int:
+        return int(self.rows["district"].nunique())
+
+    @cached_property
+    def methods(self) -> frozenset[str]:
+        """The methods that were asked of all its pairs."""
+        pairs = self.rows["method"].value_counts()
+        return frozenset(pairs.index[pairs == pairs.max()])
+
+    def mean(self, method: str, metric: str) -> float:
+        """The mean over the districts of the mean over a district's pair sets."""
+        return float(np.mean([series.mean() for series in self.by_step[method, metric]]))
+
+    def interval(self, method: str, metric: str) -> Interval | None:
+        """Of :meth:`mean`; from eight districts on at least as wide as their spread demands."""
+        series = self.by_step[method, metric]
+        return mean_interval(series, roads=range(len(series)))
+
+    def ahead(self, method: str, other: str, metric: str) -> Difference:
+        """The difference of ``method`` to ``other``, over the steps of the drives."""
+        a, b = self.by_step[method, metric], self.by_step[other, metric]
+        return paired_difference(a, b, roads=range(len(a)))
+
+    @cached_property
+    def by_step(self) -> dict[tuple[str, str], list[Array]]:
+        """By method and metric: one series for each district, by the step of the queries."""
+        found: dict[tuple[str, str], list[Array]] = {}
+        for method, of_method in self.rows.groupby("method"):
+            for _, district in of_method.groupby("district"):
+                sets = [of for _, of in district.groupby("pair_set")]
+                steps = [of["step"].to_numpy() for of in sets]
+                for metric in METRICS:
+                    series = by_place([of[metric].to_numpy() for of in sets], steps)
+                    found.setdefault((str(method), metric), []).append(series)
+        return found
+
+
+def commit() -> str:
+    """The commit of the repository, with a plus if files differ from it."""
+    asked = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty=+", "--abbrev=12"]
+    return subprocess.run(asked, check=True, capture_output=True, text=True).stdout.strip()
+
+
+def run(*words: object) -> None:
+    """Run a relocbench command; its messages go to standard error."""
+    subprocess.run([sys.executable, "-m", "relocbench", *map(str, words)], check=True, stdout=sys.stderr)
+
+
+Listed = dict[tuple[tuple[str, str], str, str], Difference]
+"""the differences of a page by the two methods, the group and the metric"""
+
+
+def differences(groups: Sequence[Group], metrics: Sequence[str] = COMPARED) -> Listed:
+    """All differences that the page lists, with one error rate."""
+    keys = [
+        (both, group, metric)
+        for both in QUESTIONS
+        for group in groups
+        if group.methods.issuperset(both)
+        for metric in metrics
+    ]
+    found = [group.ahead(*both, metric) for both, group, metric in keys]
+    return {
+        (both, group.name, metric): difference
+        for (both, group, metric), difference in zip(keys, controlled(found), strict=True)
+    }
+
+
+def difference_table(listed: Listed, *, side_by_side: bool = False) -> list[str]:
+    """What the first of two methods has more than the second: metrics side by side, or groups, which one metric has."""
+    if not listed:
+        return []
+    lines = [f"\n## Differences\n\n{_OF_DIFFERENCES.format(count=len(listed))}"]
+    columns = dict.fromkeys(group if side_by_side else metric for _, group, metric in listed)
+    lines += [f"| methods | question |{'' if side_by_side else ' group |'}{''.join(f' {c} | p |' for c in columns)}"]
+    lines += [f"|---|---|{'' if side_by_side else '---|'}{'---:|---:|' * len(columns)}"]
+    rows: dict[tuple[Any, ...], dict[str, list[str]]] = {}
+    for (both, group, metric), found in listed.items():
+        cells = [in_points(found), "" if found.adjusted_p is None else p_text(found.adjusted_p)]
+        row, column = ((both,), group) if side_by_side else ((both, group), metric)
+        rows.setdefault(row, {})[column] = cells
+    last = None
+    for (both, *group), by_column in rows.items():
+        question = "" if both == last else QUESTIONS[both]
+        cells = [cell for column in columns for cell in by_column.get(column, ["", ""])]
+        lines.append(f"| {' | '.join([f'{both[0]} less {both[1]}', question, *group, *cells])} |")
+        last = both
+    return lines
+
+
+def p_text(p: float) -> str:
+    """A p value with two digits, which rounding does not move to the other side of 0.05."""
+    text = f"{p:.2g}"
+    return text if (float(text) <= 1 - LEVEL + 1e-12) == (p <= 1 - LEVEL) else f"{p:.3g}"
