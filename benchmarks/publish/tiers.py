@@ -2,12 +2,12 @@
 
 ``python benchmarks/publish/tiers.py E/hard E/medium --results R`` reads districts of an edition (or any datasets) and
 the results on them. A row is a method: the share of the pairs of a tier that it finds within 0.25 m and 2 degrees,
-across conditions, the mean over districts with its 95 % interval over them (Student's t, from three districts on).
-Pairs on the street whose houses repeat themselves stand apart. ``true matches`` is what perfect matching leaves: PnP
+across conditions, with its 95 % interval. Districts count alike, and so do the pair sets of a district, as on boards.
+Pairs on the street whose houses repeat themselves stand apart. ``true-matches`` is what perfect matching leaves: PnP
 on the dataset's own visible correspondences, whose pixels in the query are off by 1 px (one sigma, in each direction)
-and whose depths by the error that the map states. With ``--evaluate`` the methods are asked first; their settings are
-those of ``cross_weather.py``, and rows of ALIKED need its authors' weights. ``--picture FILE`` shows a pair of each
-tier, that of median overlap: keyframes above, queries below. The last line is JSON.
+and whose depths by the error that the map states. With ``--evaluate`` it and the methods are asked first; their
+settings are those of ``cross_weather.py``, and rows of ALIKED need its authors' weights. ``--picture FILE`` shows a
+pair of each tier, that of median overlap: keyframes above, queries below. The last line is JSON.
 """
 
 from __future__ import annotations
@@ -15,33 +15,38 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import tempfile
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
-from cross_weather import SETTINGS, run
-from scipy.stats import t as student
+import pandas as pd
+from cross_weather import SETTINGS
+from groups import FLOORS, METRICS, Group, run
 
 from relocbench.arrays import Array, Image
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.edition_folder import datasets_of
 from relocbench.datasets.core.images import jpeg_bytes
 from relocbench.datasets.core.pair_set import PairSet
-from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.core.pairfile import Pair, PoseLine, write_pose_lines
 from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.datasets.pairs.visibility import lift
 from relocbench.datasets.synthetic.jobs.contact_sheet import labelled, tiled
 from relocbench.datasets.synthetic.jobs.selection import REPEATING
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
+from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.files import write_bytes
 from relocbench.geometry import make_transform, so3_exp
+from relocbench.leaderboard.common.text import with_bounds
 from relocbench.leaderboard.tracking.load import load_results
-from relocbench.metrics import CORRECT, pose_errors, within
+from relocbench.metrics import metric_named
 from relocbench.metrics.pose.tiers import TIERS, tiers_of
+from relocbench.progress import Silent
 
-BOUND = "true matches"
+BOUND = "true-matches"
 METHODS = (
     "identity",
     "clock",
@@ -59,8 +64,8 @@ _RANSAC_PX = 4.0
 _SHOWN_PX = 320
 """width and height of the images of ``--picture``"""
 
-Found = dict[tuple[str, str], dict[str, list[bool]]]
-"""(method, column) -> district -> whether each pair is found"""
+_STRETCH_M = 5.0
+"""metres of a district's street that are one place: queries of all its drives on them are one value of its series"""
 
 
 def true_matches(dataset: Dataset, pair_set: PairSet, pair: Pair, rng: np.random.Generator) -> Array | None:
@@ -95,37 +100,67 @@ def columns_of(pairs: list[Pair]) -> Iterator[tuple[Pair, str]]:
             yield pair, REPEATING if pair.group == REPEATING else TIERS[tier]
 
 
-def bound(dataset: Dataset, name: str, found: Found) -> None:
-    """Add what true matches find of a dataset's pairs across conditions."""
-    for set_name in dataset.pair_set_names:
-        pair_set = dataset.pair_set(set_name)
-        if pair_set.reference == pair_set.query:
-            continue
-        for pair, column in columns_of(pair_set.pairs):
-            T = true_matches(dataset, pair_set, pair, np.random.default_rng(pair.key))
-            assert pair.T_query_ref is not None
-            right = False
-            if T is not None:
-                right = bool(within(pose_errors(T[None], pair.T_query_ref[None]), *CORRECT)[0])
-            found[BOUND, column].setdefault(name, []).append(right)
+def bound(folder: Path, results: Path) -> None:
+    """Answer the pairs across conditions of a dataset by true matches, and score the answers as any predictions."""
+    dataset = Dataset(folder)
+    with tempfile.TemporaryDirectory() as temporary:
+        source = Path(temporary) / BOUND
+        for pair_set in (each for each in dataset.pair_sets() if each.reference != each.query):
+            rows = [(p, true_matches(dataset, pair_set, p, np.random.default_rng(p.key))) for p in pair_set.pairs]
+            lines = [PoseLine(*pair.key, T) for pair, T in rows if T is not None]
+            write_pose_lines(source / f"{pair_set.name}.txt", lines)
+        if not source.exists():  # no pair is across conditions
+            return
+        options = EvaluateOptions(dataset=folder, out=results, methods=(BOUND,), predictions=source)
+        evaluate_methods(options, Silent())
 
 
-def methods(folders: list[Path], results: Path, found: Found) -> None:
-    """Add what the methods of a results folder found of the datasets' pairs across conditions."""
+def answers(results: Path, folders: Sequence[Path] = ()) -> pd.DataFrame:
+    """What a results folder holds of pairs across conditions that have a tier: a row for each method and pair.
+
+    Args:
+        folders: datasets by whose truth every error is computed anew, and to which the rows are limited; without any,
+            the errors of the results are believed.
+    """
+    parts = []
     for entry in load_results(results, datasets=DatasetLookup(results, folders)):
-        for set_name, record in entry.pair_sets.items():
-            if record.reference == record.query:
-                continue
-            for method in entry.methods:
-                rows = method.errors[set_name]
-                for row, tier, right in zip(rows, rows.scores.tiers, within(rows.errors, *CORRECT), strict=True):
-                    if tier >= 0:
-                        column = REPEATING if row.group == REPEATING else TIERS[tier]
-                        found[method.label, column].setdefault(entry.record.name, []).append(bool(right))
+        if folders and entry.truth is None:
+            continue
+        for name, record in entry.pair_sets.items():
+            for method in entry.methods if record.reference != record.query else ():
+                if (rows := method.errors.get(name)) is None:
+                    continue
+                values = {metric: metric_named(metric).per_pair for metric in METRICS}
+                part = pd.DataFrame(
+                    {
+                        "method": method.label,
+                        "district": entry.record.name,
+                        "pair_set": name,
+                        "step": np.nan_to_num(rows.column("travelled_m") // _STRETCH_M),
+                        "column": [TIERS[tier] if tier >= 0 else "" for tier in rows.scores.tiers],
+                        "confidence": rows.column("confidence"),
+                        "answered": np.isfinite(rows.errors.translation_error_m),
+                        **{metric: of(rows.errors) for metric, of in values.items() if of is not None},
+                    }
+                )
+                part.loc[(np.array(rows.groups) == REPEATING) & (part["column"] != ""), "column"] = REPEATING
+                parts.append(part[part["column"] != ""])
+    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=["method", "district", "column"])
+
+
+def groups(rows: pd.DataFrame) -> list[Group]:
+    """The pairs of each tier, and those on the repeating street."""
+    return [
+        Group(column.replace("_", " "), rows[rows["column"] == column])
+        for column in (*TIERS, REPEATING)
+        if column in set(rows["column"])
+    ]
 
 
 def evaluate(folder: Path, results: Path, workers: int) -> None:
-    """Ask the methods about the datasets of a folder; what is answered already is kept."""
+    """Ask true matches and the methods about the datasets of a folder; what is answered already is kept."""
+    for dataset in datasets_of(folder):
+        bound(dataset, results)
     labels = [name.split("=")[0] for name in METHODS]
     words = [word for name in METHODS for word in ("-m", name)]
     words += [word for each in SETTINGS if each.split(".")[0] in labels for word in ("--set", each)]
@@ -152,19 +187,36 @@ def picture(folders: list[Path]) -> Image:
     return tiled([*above, *below])
 
 
-def share(by_district: dict[str, list[bool]]) -> list[float]:
-    """The mean over districts in percent; from three districts on also the ends of its interval."""
-    means = 100 * np.array([np.mean(rights) for rights in by_district.values()])
-    values = [float(means.mean())]
-    if len(means) > 2:
-        half = student.ppf(0.975, len(means) - 1) * means.std(ddof=1) / np.sqrt(len(means))
-        values += np.clip([values[0] - half, values[0] + half], 0, 100).tolist()
-    return [round(value, 1) for value in values]
+def in_order(columns: Sequence[Group]) -> list[str]:
+    """All methods: true matches, then those of the largest shares over all groups, trivial baselines last."""
+    shares = {method: 0.0 for group in columns for method in sorted(set(group.rows["method"]))}
+    for group in columns:
+        for method in group.methods:
+            shares[method] += group.mean(method, METRICS[0])
+    return sorted(shares, key=lambda method: (method != BOUND, method in FLOORS, -shares[method], method))
 
 
-def text(values: list[float]) -> str:
-    """A cell of the table."""
-    return " ".join([*map(str, values[:1]), *([str(values[1:])] if values[1:] else [])])
+def table(columns: Sequence[Group]) -> list[str]:
+    """The shares that each method finds, with their intervals; empty where a method was not asked of all pairs."""
+    lines = [f"| method | {' | '.join(group.name for group in columns)} |", f"|---|{'---:|' * len(columns)}"]
+    for what in ("pairs", "districts"):
+        lines.append(f"| *{what}* | {' | '.join(f'*{getattr(group, what)}*' for group in columns)} |")
+    for method in in_order(columns):
+        cells = [
+            with_bounds(group.mean(method, METRICS[0]), group.interval(method, METRICS[0]), "share")
+            if method in group.methods
+            else ""
+            for group in columns
+        ]
+        lines.append(f"| {method} | {' | '.join(cells)} |")
+    return lines
+
+
+def _found(group: Group, method: str) -> list[float]:
+    """The share in percent, and the ends of its interval if it has one."""
+    interval = group.interval(method, METRICS[0])
+    ends = [] if interval is None else [interval.low, interval.high]
+    return [round(100 * value, 1) for value in (group.mean(method, METRICS[0]), *ends)]
 
 
 def main() -> None:
@@ -182,22 +234,20 @@ def main() -> None:
     folders = [dataset for folder in options.folders for dataset in datasets_of(folder)]
     if options.picture:
         write_bytes(options.picture, jpeg_bytes(picture(folders)))
-    found: Found = defaultdict(dict)
-    for folder in folders:
-        dataset = Dataset(folder)
-        bound(dataset, dataset.name, found)
-    if options.results is not None:
-        methods(folders, options.results, found)
-    columns = [name for name in (*TIERS, REPEATING) if (BOUND, name) in found]
-    pairs = {name: sum(map(len, found[BOUND, name].values())) for name in columns}
-    heads = " | ".join(f"{name.replace('_', ' ')}, {pairs[name]} pairs" for name in columns)
-    print(f"| method | {heads} |\n|---|{'---|' * len(columns)}", file=sys.stderr)
-    table: dict[str, dict[str, list[float]]] = {}
-    for method in dict.fromkeys(method for method, _ in found):
-        table[method] = {name: share(found[method, name]) for name in columns if found.get((method, name))}
-        cells = [text(table[method].get(name, [])) for name in columns]
-        print(f"| {method} | {' | '.join(cells)} |", file=sys.stderr)
-    print(json.dumps({"benchmark": "tiers", "districts": len(folders), "pairs": pairs, "found": table}))
+    parts = [] if options.results is None else [answers(options.results, folders)]
+    if not any(BOUND in set(part["method"]) for part in parts):
+        with tempfile.TemporaryDirectory() as temporary:
+            for folder in folders:
+                bound(folder, Path(temporary) / "results")
+            parts.append(answers(Path(temporary) / "results", folders))
+    columns = groups(pd.concat(parts, ignore_index=True))
+    print("\n".join(table(columns)), file=sys.stderr)
+    found = {
+        method: {group.name: _found(group, method) for group in columns if method in group.methods}
+        for method in in_order(columns)
+    }
+    pairs = {group.name: group.pairs for group in columns}
+    print(json.dumps({"benchmark": "tiers", "districts": len(folders), "pairs": pairs, "found": found}))
 
 
 if __name__ == "__main__":
