@@ -4,7 +4,7 @@ RUN := $(VENV)/bin
 RECORDINGS ?= ../shared/data
 
 .PHONY: help setup kernels browser test test-rest test-all test-busy test-processors kills fuzz lint format demo bench prove docs light constraints image clean
-.PHONY: leaderboard recompute leaderboard-weather leaderboard-retrieval leaderboard-relocalization
+.PHONY: leaderboard recompute leaderboard-weather leaderboard-edition leaderboard-retrieval leaderboard-relocalization
 
 PIN := $(RUN)/uv pip compile -q pyproject.toml --extra dev --extra bags --extra cluster --extra registration --extra learned \
   --extra pretrained --extra tensorboard --extra viewer --extra clouds --python-version 3.11 --custom-compile-command "make constraints"
@@ -74,11 +74,15 @@ docs: setup      ## check links and commands of docs/ and README.md, build the p
 leaderboard: setup ## make the published results again (RECORDINGS=folder of kitti_odometry/ and tum_rgbd/)
 	tools/publish_leaderboard.sh $(RECORDINGS)
 
-recompute: setup ## recompute the published pages and say which differ (RECORDINGS=folder, for what has predictions)
-	$(RUN)/python tools/recompute.py $(if $(wildcard $(RECORDINGS)),--recordings $(RECORDINGS))
+recompute: setup ## recompute the published pages and say which differ (RECORDINGS=folder; RENDER=yes, for hours)
+	$(RUN)/python tools/recompute.py $(if $(wildcard $(RECORDINGS)),--recordings $(RECORDINGS)) $(if $(RENDER),--render)
 
 leaderboard-weather: setup ## make the published results across weathers again (renders and evaluates for hours)
 	$(RUN)/python benchmarks/publish/cross_weather.py --out leaderboard/weather --errors leaderboard/weather/errors
+
+leaderboard-edition: setup ## make the published results of an edition again, by tiers (renders and evaluates for hours; EDITION= SPLIT= SCRATCH=)
+	$(RUN)/python benchmarks/publish/edition_page.py --edition $(or $(EDITION),2026.1) --split $(or $(SPLIT),validation) \
+	  --scratch $(or $(SCRATCH),edition-scratch)
 
 leaderboard-retrieval: setup ## make the published results of retrieval across views again (trains for hours; SAMPLE=folder of real pairs)
 	tools/publish_retrieval.sh $(or $(SCRATCH),retrieval-scratch) $(SAMPLE)

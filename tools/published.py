@@ -66,6 +66,25 @@ class Page:
     """files and folders whose code decides the numbers"""
 
 
+def page_of_edition(path: Path) -> Page:
+    """The page ``EDITION-SPLIT.md``."""
+    edition, _, split = path.stem.rpartition("-")
+    return Page(
+        path.relative_to(ROOT).as_posix(),
+        f"make leaderboard-edition EDITION={edition} SPLIT={split}",
+        (
+            "benchmarks/publish/edition_page.py",
+            "benchmarks/publish/tiers.py",
+            "benchmarks/publish/groups.py",
+            "benchmarks/publish/cross_weather.py",
+            "relocbench/datasets/importers/edition",
+            *_TOWN,
+            *_TRACKING,
+            *_TRACKERS,
+        ),
+    )
+
+
 PAGES = (
     Page("leaderboard/leaderboard.md", "make leaderboard RECORDINGS=FOLDER", _SMALL_SETS),
     Page(
@@ -124,6 +143,7 @@ PAGES = (
         "make leaderboard-retrieval SAMPLE=FOLDER",
         ("tools/publish_retrieval.sh", "relocbench/datasets/cross_view", *_EVALUATION, *_RETRIEVERS),
     ),
+    *map(page_of_edition, sorted((ROOT / "leaderboard" / "edition").glob("*.md"))),
 )
 
 
@@ -133,7 +153,7 @@ class Standing:
 
     page: Page
     commit: str
-    """the last one that wrote the page, and its date"""
+    """the last one that wrote the page, and its date; ``none yet`` where it is made and not committed"""
     changed: int
     """files that decide the page and differ from that commit"""
 
@@ -142,8 +162,9 @@ def standings() -> Iterator[Standing]:
     """Yield the standing of every page. Raises CalledProcessError where this is no repository with its history."""
     for page in PAGES:
         commit = _git("log", "-1", "--format=%h of %ad", "--date=short", "--", page.path)
-        changed = _git("diff", "--name-only", commit.split()[0], "--", *page.decided_by).splitlines()
-        yield Standing(page, commit, len([name for name in changed if name.endswith((".py", ".sh"))]))
+        since = commit.split()[0] if commit else "HEAD"
+        changed = _git("diff", "--name-only", since, "--", *page.decided_by).splitlines()
+        yield Standing(page, commit or "none yet", len([name for name in changed if name.endswith((".py", ".sh"))]))
 
 
 def table() -> str:

@@ -2,9 +2,9 @@
 
 Without recordings, pages are printed again from the errors that are published beside them. With recordings, the
 small datasets are built again from their recipes, every error is computed anew from the published predictions, and the
-pages are printed from these.
+pages are printed from these. With ``--render`` the same is done for editions, whose districts take hours to render.
 
-    python tools/recompute.py [--recordings FOLDER] [--scratch FOLDER] [--leaderboard leaderboard]
+    python tools/recompute.py [--recordings FOLDER] [--render] [--scratch FOLDER] [--leaderboard leaderboard]
 
 Ends with 1 where a page differs. What cannot be recomputed is said, with the reason, and is no difference.
 """
@@ -48,20 +48,23 @@ class Finding(NamedTuple):
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--recordings", type=Path, help="folder, as tools/publish_leaderboard.sh says")
+    parser.add_argument("--render", action="store_true", help="render the districts of published editions (hours)")
     parser.add_argument("--scratch", type=Path, help="folder for datasets and pages; by default a temporary one")
     parser.add_argument("--leaderboard", type=Path, default=ROOT / "leaderboard")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         scratch = (options.scratch or Path(temporary)).resolve()
         found = []
-        for finding in findings(options.leaderboard.resolve(), scratch, options.recordings):
+        for finding in findings(options.leaderboard.resolve(), scratch, options.recordings, options.render):
             print(f"{finding.page}: {finding.source}: {finding.outcome}", flush=True)
             found.append(finding)
     sys.exit(1 if any(finding.differs for finding in found) else 0)
 
 
-def findings(leaderboard: Path, scratch: Path, recordings: Path | None) -> Iterator[Finding]:
+def findings(leaderboard: Path, scratch: Path, recordings: Path | None, render: bool) -> Iterator[Finding]:
     """What becomes of each published page, from errors and from predictions."""
+    for path in sorted((leaderboard / "edition").glob("*.md")):
+        yield from edition(path, scratch, render)
     handled: dict[str, Callable[[], Iterator[Finding]]] = {
         "leaderboard.md": lambda: small_sets(leaderboard, scratch, recordings),
         "real/real.md": lambda: real(leaderboard, scratch),
@@ -71,7 +74,7 @@ def findings(leaderboard: Path, scratch: Path, recordings: Path | None) -> Itera
         name = page.path.removeprefix("leaderboard/")
         if name in handled:
             yield from handled[name]()
-        else:
+        elif not name.startswith("edition/"):
             reason = (
                 f"cannot be recomputed: neither predictions nor errors are published; `{page.command}` evaluates anew"
             )
@@ -89,6 +92,32 @@ def weather(leaderboard: Path, scratch: Path) -> Iterator[Finding]:
     if not lacking:
         outcome = "not recomputed: the districts of a test split are rendered by `make leaderboard-weather` alone"
     yield Finding(page, _PREDICTIONS, outcome)
+
+
+def edition(page: Path, scratch: Path, render: bool) -> Iterator[Finding]:
+    """The page of an edition, from errors and, where districts are rendered again, from predictions."""
+    yield edition_again(page, scratch)
+    if not render:
+        yield Finding(f"edition/{page.name}", _PREDICTIONS, "not recomputed: no --render to render districts (hours)")
+        return
+    name, _, split = page.stem.rpartition("-")
+    words = ("build-dataset", "edition", name, "--split", split, "--out", scratch / page.stem, "-q")
+    _run("-m", "relocbench", *words)
+    yield edition_again(page, scratch, scratch / page.stem)
+
+
+def edition_again(page: Path, scratch: Path, datasets: Path | None = None) -> Finding:
+    """The page of an edition from the errors of its archives, or from their predictions and the truth of datasets."""
+    name, _, split = page.stem.rpartition("-")
+    words = ("--edition", name, "--split", split, "--predictions", page.parent / "predictions" / page.stem)
+    out = scratch / "edition" / ("from_errors" if datasets is None else "from_predictions")
+    truth = () if datasets is None else ("--datasets", datasets)
+    of, source = f"edition/{page.name}", "from published errors" if datasets is None else _PREDICTIONS
+    asked = ["benchmarks/publish/edition_page.py", "--only-print", *words, *truth, "--out", out]
+    fault = _fault(*asked)
+    return (
+        Finding(of, source, f"differs: {fault}", differs=True) if fault else compared(of, source, page, out / page.name)
+    )
 
 
 def small_sets(leaderboard: Path, scratch: Path, recordings: Path | None) -> Iterator[Finding]:
@@ -110,11 +139,9 @@ def from_predictions(leaderboard: Path, datasets: Path, scratch: Path) -> Iterat
     """The tables of the small sets, every error computed anew from published predictions and the truth of datasets."""
     results = archives.unpack(leaderboard / "predictions", scratch / "results")
     board = scratch / "from_predictions"
-    words = ("leaderboard", results, "--dataset", datasets, "--out", board, "-q")
-    asked = [sys.executable, "-m", "relocbench", *map(str, words)]
-    done = subprocess.run(asked, cwd=ROOT, check=False, capture_output=True, text=True)
-    if done.returncode:
-        yield Finding("leaderboard.md", _PREDICTIONS, f"differs: {done.stderr.strip()}", differs=True)
+    fault = _fault("-m", "relocbench", "leaderboard", results, "--dataset", datasets, "--out", board, "-q")
+    if fault:
+        yield Finding("leaderboard.md", _PREDICTIONS, f"differs: {fault}", differs=True)
         return
     yield from _of_board(leaderboard, board, _PREDICTIONS, _TABLES)
 
@@ -144,6 +171,12 @@ def compared(page: str, source: str, old: Path, new: Path) -> Finding:
     lines = (n for n, pair in enumerate(zip(was, now, strict=False), start=1) if pair[0] != pair[1])
     first = next(lines, min(len(was), len(now)) + 1)
     return Finding(page, source, f"differs from line {first} on", differs=True)
+
+
+def _fault(*words: object) -> str:
+    """Run Python in the repository: what it says where it ends with an error, and else nothing."""
+    done = subprocess.run([sys.executable, *map(str, words)], cwd=ROOT, check=False, capture_output=True, text=True)
+    return (done.stderr.strip() or f"ended with {done.returncode}") if done.returncode else ""
 
 
 def _run(*words: object) -> None:

@@ -15,13 +15,29 @@ SUFFIXES = (".yaml", ".txt", ".csv")
 
 
 def pack(results: Path, dataset: str, label: str, out: Path) -> None:
-    """Pack all results of a method in a dataset; the same results give the same bytes."""
-    (folder,) = results.glob(f"{dataset}@*")
-    files = [path for path in sorted((folder / label).iterdir()) if path.suffix in SUFFIXES]
+    """Pack all results of a method in a dataset; the same results give the same bytes.
+
+    Args:
+        dataset: its name, or a pattern of the names of several that go into one archive.
+
+    Raises:
+        ValueError: the method has no results there, or results on two renderings of one dataset.
+    """
+    folders = [folder for folder in sorted(results.glob(f"{dataset}@*")) if (folder / label).is_dir()]
+    names = [folder.name.partition("@")[0] for folder in folders]
+    if not folders or len(set(names)) < len(names):
+        found = ", ".join(folder.name for folder in folders) or "none"
+        raise ValueError(f"{results}: expected one folder with results of {label} for each {dataset}, found {found}")
+    files = [
+        path
+        for folder in folders
+        for path in (folder / "dataset.yaml", *sorted((folder / label).iterdir()))
+        if path.suffix in SUFFIXES
+    ]
     out.parent.mkdir(parents=True, exist_ok=True)
     part = out.with_suffix(".part")
     with lzma.open(part, "wb", preset=9) as stream, tarfile.open(fileobj=stream, mode="w") as archive:
-        for path in (folder / "dataset.yaml", *files):
+        for path in files:
             entry = tarfile.TarInfo(path.relative_to(results).as_posix())
             entry.size = path.stat().st_size
             with path.open("rb") as content:

@@ -1,0 +1,175 @@
+"""Publish an edition: render its districts, ask the methods of ``tiers.py``, and print one page with their predictions.
+
+    python benchmarks/publish/edition_page.py --scratch S [--edition 2026.1] [--split validation] [--workers N]
+    python benchmarks/publish/edition_page.py --only-print [--datasets E]
+
+Districts and results are kept in ``--scratch``; when it is run again, only what is missing is made. An archive for each
+method on each tier, with all errors and predictions, goes to ``OUT/predictions/EDITION-SPLIT/TIER/METHOD.tar.xz``, and
+the page is printed from these archives alone. ``--only-print`` makes nothing else. With ``--datasets``, an edition
+that was rendered again, every error is first computed anew from the predictions and the truth.
+
+The page has the share of pairs that each method finds on each tier, with its interval; the differences that answer a
+question, on the same pairs and with one error rate for all of them; how often answers are right; and the digests by
+which to see that the same was asked.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import tiers
+from archives import pack, unpack
+from groups import FLOORS, METRICS, Group, commit, difference_table, differences, run
+
+from relocbench.datasets.core.edition_folder import questions_of
+from relocbench.datasets.importers.edition.dataset import Recipe, recipe
+from relocbench.errors import RelocbenchError
+from relocbench.evaluation.common.results import all_results
+from relocbench.metrics import CONFIDENT
+from relocbench.metrics.statistics.intervals import MANY_ROADS
+
+_HEAD = """# Edition {edition}, split {split}
+
+How many pairs each method finds, in percent: poses within 0.25 m and 2 degrees of the truth. Each
+[tier](../../docs/tiers.md) is harder than the one before it; `true-matches` is what matches that are right to a pixel
+would find, and bounds all others. In brackets is the 95 % interval, where pairs are worth ten independent ones or more.
+[What the methods are](../../docs/results.md), [what the edition is](../../docs/editions.md).
+
+"""
+_OF = {
+    "validation": "Methods were developed on districts of this split, so that its numbers say how they were tuned.",
+    "test": "The [ledger](../LEDGER.md) says when each method was asked.",
+}
+_AGAIN = """
+## Print it again
+
+From the published predictions and their errors, in a minute:
+
+    {again}
+
+With every error computed anew, on districts that are rendered again, in hours: `python tools/recompute.py --render`.
+Printed by commit {commit}.
+"""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--edition", default="2026.1")
+    parser.add_argument("--split", default="validation", choices=("validation", "test"))
+    parser.add_argument("--out", type=Path, default=Path("leaderboard/edition"), help="folder of page and predictions")
+    parser.add_argument("--scratch", type=Path, help="folder that keeps districts and results")
+    parser.add_argument("--districts", type=int, help="only the first districts, to try the whole line out")
+    parser.add_argument("--workers", "-j", type=int, default=2)
+    parser.add_argument("--only-print", action="store_true", help="render and ask nothing")
+    parser.add_argument("--predictions", type=Path, help="folder of the archives; default: below --out")
+    parser.add_argument("--datasets", type=Path, help="the edition, rendered again: compute every error anew")
+    options = parser.parse_args()
+    if not options.only_print and options.scratch is None:
+        parser.error("--scratch FOLDER, or --only-print")
+    name = f"{options.edition}-{options.split}"
+    archives = options.predictions or options.out / "predictions" / name
+    try:
+        edition = recipe(options.edition)
+        if not options.only_print:
+            make(edition, archives, options)
+        with tempfile.TemporaryDirectory() as temporary:
+            text = page(edition, options.split, unpack(archives, Path(temporary) / "results"), options.datasets)
+    except RelocbenchError as bad:
+        sys.exit(str(bad))
+    options.out.mkdir(parents=True, exist_ok=True)
+    (options.out / f"{name}.md").write_text(text)
+    print(text)
+
+
+def make(edition: Recipe, archives: Path, options: argparse.Namespace) -> None:
+    """Render the districts, ask the methods, and pack what they answered; what is there already is kept."""
+    name, split = edition.edition, options.split
+    datasets, results = options.scratch / f"{name}-{split}", options.scratch / "results"
+    first = () if options.districts is None else ("--districts", options.districts)
+    for tier in edition.tiers:
+        words = name, "--split", split, "--tier", tier, *first, "--out", datasets, "-j", options.workers, "-q"
+        run("build-dataset", "edition", *words)
+        tiers.evaluate(datasets / tier, results, options.workers)
+        pack_tier(results, name, split, tier, archives)
+
+
+def pack_tier(results: Path, edition: str, split: str, tier: str, archives: Path) -> None:
+    """An archive of each method's results on all districts of a tier."""
+    districts = f"relocbench-{edition}-{split}-{tier}-*"
+    for label in sorted({folder.name for folder in results.glob(f"{districts}@*/*/")}):
+        pack(results, districts, label, archives / tier / f"{label}.tar.xz")
+
+
+def page(edition: Recipe, split: str, results: Path, datasets: Path | None = None) -> str:
+    """The whole page, from a results folder; with ``datasets``, every error is computed anew by their truth.
+
+    Raises:
+        RelocbenchError: results that do not fit together, or errors that are not those of predictions and truth.
+    """
+    rows = tiers.answers(results, [] if datasets is None else [datasets])
+    asked = {folder.record.name: folder.record.question for folder in all_results(results)}
+    unknown = sorted(asked.keys() - set(rows["district"]))
+    if unknown:
+        raise RelocbenchError(f"{unknown[0]} is not among {datasets or 'what was scored'}: its questions are others")
+    columns = tiers.groups(rows)
+    again = f"python benchmarks/publish/edition_page.py --only-print --edition {edition.edition} --split {split}"
+    return "\n".join(
+        [
+            _HEAD.format(edition=edition.edition, split=split) + "\n".join(tiers.table(columns)),
+            "",
+            *_notes(edition, split, columns),
+            *difference_table(differences(columns, METRICS[:1]), side_by_side=True),
+            *_sureness(columns),
+            *_questions(edition, split, columns, asked),
+            _AGAIN.format(again=again, commit=commit()),
+        ]
+    )
+
+
+def _notes(edition: Recipe, split: str, columns: Sequence[Group]) -> Iterator[str]:
+    few = min(group.districts for group in columns)
+    if few < edition.districts or len(columns) < len(edition.tiers):
+        yield f"Not all {edition.districts} districts of all tiers were asked: this is no result of the edition."
+    if few < MANY_ROADS:
+        yield "Intervals speak of these districts alone: on others methods may find more or less."
+    else:
+        yield "Intervals speak of other districts of the same recipe as well. Districts count alike."
+    yield _OF[split]
+
+
+def _sureness(columns: Sequence[Group]) -> Iterator[str]:
+    """How many of the answers are right: of all, and of those with a confidence of 0.5 or more."""
+    yield "\n## Are answers right?\n"
+    yield "Of the answers that a method gives, in percent, and their number; a pair may also be declined. *Sure* are"
+    yield f"answers with a confidence of {CONFIDENT:g} or more, of methods that state one.\n"
+    yield f"| method | {' | '.join(f'{group.name} | sure' for group in columns)} |"
+    yield f"|---|{'---:|---:|' * len(columns)}"
+    for method in (name for name in tiers.in_order(columns) if name not in (*FLOORS, tiers.BOUND)):
+        cells = []
+        for group in columns:
+            rows = group.rows[group.rows["method"] == method] if method in group.methods else group.rows[:0]
+            right, confidence = rows[METRICS[0]].to_numpy(), rows["confidence"].to_numpy(dtype=np.float64)
+            for chosen in (rows["answered"].to_numpy(dtype=bool), confidence >= CONFIDENT):
+                cells.append(f"{100 * right[chosen].mean():.1f} of {chosen.sum()}" if chosen.any() else "")
+        yield f"| {method} | {' | '.join(cells)} |"
+
+
+def _questions(edition: Recipe, split: str, columns: Sequence[Group], asked: dict[str, str]) -> Iterator[str]:
+    """By which digests to see that the same was asked."""
+    yield "\n## What was asked\n"
+    yield "Who builds the edition and gets the same digests is asked the same"
+    yield "([how to see it](../../docs/editions.md#were-two-people-asked-the-same)).\n"
+    yield "| tier | districts | pairs | digest of the questions |"
+    yield "|---|---:|---:|---|"
+    for group in columns:
+        ids = {name.rpartition("-")[2]: asked[name] for name in sorted(set(group.rows["district"]))}
+        yield f"| {group.name} | {group.districts} | {group.pairs} | `{questions_of(ids)}` |"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+"""The page of an edition follows from the predictions and errors that are published beside it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+import recompute
+from command_line import relocbench
+from repository import ROOT
+from small_dataset import ACROSS, make_small_dataset
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.edition_folder import EditionFile, TierRecord, datasets_of, questions_of, write_edition
+from relocbench.datasets.importers.edition.dataset import recipe
+from relocbench.errors import RelocbenchError
+from relocbench.evaluation.common.results import MethodResults, write_record
+from relocbench.evaluation.tracking.score import predictions_hash
+
+sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
+import archives
+import edition_page
+import tiers
+
+NAME = "2026.1-validation"
+
+
+@pytest.fixture(scope="module")
+def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two districts of an edition in ``districts``, results on them, and the published page with its predictions."""
+    root = tmp_path_factory.mktemp("published")
+    for number in ("01", "02"):
+        folder = root / "districts" / "easy" / number
+        make_small_dataset(
+            folder, name=f"relocbench-{NAME}-easy-{number}", seed=int(number), within=False, correspondences=50
+        )
+    ids = {path.name: Dataset(path).content_id for path in (root / "districts" / "easy").iterdir()}
+    record = TierRecord(questions=questions_of(ids), datasets=dict(sorted(ids.items())))
+    write_edition(
+        root / "districts",
+        EditionFile(edition="2026.1", split="validation", districts=2, tiers={"easy": record}),
+    )
+    asked = relocbench(
+        "evaluate", "-d", root / "districts", "-m", "identity", "-m", "orb-pnp", "-o", root / "results", "-j", 0, "-q"
+    )
+    assert asked.status == 0, asked.err
+    for district in datasets_of(root / "districts"):
+        tiers.bound(district, root / "results")
+    out = root / "board" / "edition"
+    edition_page.pack_tier(root / "results", "2026.1", "validation", "easy", out / "predictions" / NAME)
+    (out / f"{NAME}.md").write_text(edition_page.page(recipe("2026.1"), "validation", root / "results"))
+    return root
+
+
+def test_the_page_shows_each_method_on_each_tier_and_what_was_asked(published: Path) -> None:
+    text = (published / "board" / "edition" / f"{NAME}.md").read_text()
+    rows = [line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("| ")]
+    cells = {row[0]: row[1] for row in reversed(rows)}
+    districts = [Dataset(path) for path in datasets_of(published / "districts")]
+    pairs = sum(len(district.pair_set(ACROSS).pairs) for district in districts)
+    assert (cells["method"], cells["*pairs*"], cells["*districts*"]) == ("easy", f"*{pairs}*", "*2*")
+    assert cells["true-matches"].startswith("100.0")
+    assert "this is no result of the edition" in text
+    assert questions_of({f"{n:02d}": d.content_id for n, d in enumerate(districts, 1)}) in text
+
+
+def test_the_page_is_printed_again_from_errors_and_from_predictions(published: Path, tmp_path: Path) -> None:
+    page = published / "board" / "edition" / f"{NAME}.md"
+    from_errors, untried = recompute.edition(page, tmp_path, render=False)
+    assert (from_errors.outcome, from_errors.differs) == ("byte-equal", False)
+    assert untried.outcome.startswith("not recomputed")
+    assert recompute.edition_again(page, tmp_path, published / "districts").outcome == "byte-equal"
+
+
+@pytest.mark.parametrize(
+    "hidden", [False, pytest.param(True, marks=pytest.mark.thorough)], ids=["a changed file", "with its digest"]
+)
+def test_a_changed_prediction_is_noticed(published: Path, tmp_path: Path, hidden: bool) -> None:
+    """Whoever changes a digest as well is found out by the truth alone."""
+    forged = archives.unpack(published / "board" / "edition" / "predictions" / NAME, tmp_path / "forged")
+    folder = MethodResults(sorted(forged.glob("*-01@*"))[0] / "identity")
+    path = folder.predictions(ACROSS)
+    lines = path.read_text().splitlines()
+    columns = lines[-1].split()
+    path.write_text("\n".join([*lines[:-1], " ".join([*columns[:2], "9.5", *columns[3:]])]) + "\n")
+    if hidden:
+        scores = folder.score_record()
+        renewed = {**scores.predictions, ACROSS: predictions_hash(folder, ACROSS)}
+        write_record(folder.scores_yaml, scores.model_copy(update={"predictions": renewed}))
+    page = tmp_path / "edition" / f"{NAME}.md"
+    edition_page.pack_tier(forged, "2026.1", "validation", "easy", page.parent / "predictions" / NAME)
+    page.write_bytes((published / "board" / "edition" / page.name).read_bytes())
+    if hidden:
+        assert not recompute.edition_again(page, tmp_path / "scratch").differs
+    finding = recompute.edition_again(page, tmp_path / "scratch", published / "districts" if hidden else None)
+    assert finding.differs
+    assert ACROSS in finding.outcome
+
+
+def test_districts_that_ask_something_else_prove_nothing(published: Path, tmp_path: Path) -> None:
+    make_small_dataset(tmp_path / "other", name="other")
+    with pytest.raises(RelocbenchError, match="easy-01 is not among"):
+        edition_page.page(recipe("2026.1"), "validation", published / "results", tmp_path / "other")
+
+
+def test_a_method_that_was_not_asked_of_all_pairs_has_no_share(published: Path) -> None:
+    rows = tiers.answers(published / "results")
+    partly = rows[(rows["method"] != "orb-pnp") | rows["district"].str.endswith("-01")]
+    (group,) = tiers.groups(partly)
+    assert group.methods == {"identity", "true-matches"}
+    assert "| orb-pnp |  |" in tiers.table([group])
