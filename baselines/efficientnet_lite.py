@@ -164,11 +164,12 @@ class _Unit(nn.Sequential):
             nn.BatchNorm2d(outside, eps=_BATCH_NORM_EPSILON, momentum=_BATCH_NORM_MOMENTUM),
         )
         if not linear:
-            self.append(nn.ReLU6())
+            self.append(nn.ReLU6(inplace=True))
 
     def fold(self) -> None:
-        """Fold the normalisation into the convolution, for inference."""
+        """Fold the normalisation into the convolution, for inference on maps whose sides are multiples of strides."""
         self[0], self[1] = folded(cast(nn.Conv2d, self[0]), self[1])
+        cast(_SameConvolution, self[0]).pad_evenly()
 
 
 class _Block(nn.Module):
@@ -197,11 +198,22 @@ class _SameConvolution(nn.Conv2d):
         super().__init__(inside, outside, kernel, stride, padding, groups=groups, bias=False)
 
     def forward(self, x: Tensor) -> Tensor:
-        if self.stride[0] > 1:
+        if self.stride[0] > 1 and not any(self.padding):
             missing = [self._missing(size) for size in x.shape[-2:]]
             (top, bottom), (left, right) = ((each // 2, each - each // 2) for each in missing)
             x = nn.functional.pad(x, (left, right, top, bottom))
         return super().forward(x)
+
+    def pad_evenly(self) -> None:
+        """Where it halves even maps, begin the kernel with a row and a column of zeros.
+
+        The map is then extended by as many rows and columns on either side, which the convolution does itself, without
+        a copy of the map.
+        """
+        if self.stride[0] == 2 and not any(self.padding):
+            self.weight = nn.Parameter(nn.functional.pad(self.weight, (1, 0, 1, 0)), requires_grad=False)
+            self.kernel_size = self.kernel_size[0] + 1, self.kernel_size[1] + 1
+            self.padding = (self.kernel_size[0] - 1) // 2, (self.kernel_size[1] - 1) // 2
 
     def _missing(self, size: int) -> int:
         """How many rows or columns a map lacks so that the output has its size / stride, rounded up."""

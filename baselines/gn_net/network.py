@@ -108,7 +108,7 @@ class FeatureNet(nn.Module):
         Raises:
             ValueError: as in :meth:`forward`.
         """
-        skips = cast(list[Tensor], self.encoder(self._padded(images)))
+        skips = cast(list[Tensor], self.encoder(self.padded(images)))
         maps = [skips[-1]]
         for k in reversed(range(finest, len(skips) - 1)):
             # 1x1 convolution before upsampling gives the same numbers as after it, at a quarter of the work.
@@ -127,9 +127,18 @@ class FeatureNet(nn.Module):
         for module in net.modules():
             if isinstance(module, Foldable):
                 module.fold()
+        for module in net.modules():
+            if isinstance(module, nn.Conv2d) and module.kernel_size == (1, 1):
+                # It means nothing for a single pixel, but with it torch uses oneDNN also on one thread.
+                module.dilation = 2, 2
         return net.to(memory_format=torch.channels_last)
 
-    def _padded(self, images: Tensor) -> Tensor:
+    def padded(self, images: Tensor) -> Tensor:
+        """Images (B, 3, H, W) whose sides are multiples of ``options.stride``.
+
+        Raises:
+            ValueError: as in :meth:`forward`.
+        """
         if images.ndim != 4 or images.shape[1] not in (1, 3):
             raise ValueError(f"images are {tuple(images.shape)}, expected (B, 3, H, W) or (B, 1, H, W)")
         height, width = images.shape[-2:]

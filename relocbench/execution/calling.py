@@ -11,13 +11,17 @@ from typing import TypeVar
 Unit = TypeVar("Unit")
 Result = TypeVar("Result")
 
-_THREAD_VARIABLES = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-    "NUMBA_NUM_THREADS",
-    "OPENCV_FOR_THREADS_NUM",
+_OF_CHILDREN = dict.fromkeys(
+    (
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "NUMEXPR_NUM_THREADS",
+        "NUMBA_NUM_THREADS",
+        "OPENCV_FOR_THREADS_NUM",
+        "THP_MEM_ALLOC_ENABLE",  # torch's large tensors on huge pages: small ones cost a network a third of its time
+    ),
+    "1",
 )
 
 
@@ -32,8 +36,8 @@ def pin_threads() -> None:
 @contextmanager
 def single_threaded_children() -> Iterator[None]:
     """Set thread counts in the environment of child processes, where libraries read them when they are loaded."""
-    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
-    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
+    before = {name: os.environ.get(name) for name in _OF_CHILDREN}
+    os.environ.update(_OF_CHILDREN)
     try:
         yield
     finally:
