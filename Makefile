@@ -7,7 +7,7 @@ RECORDINGS ?= ../shared/data
 .PHONY: leaderboard recompute leaderboard-weather leaderboard-edition leaderboard-retrieval leaderboard-relocalization
 
 PIN := $(RUN)/uv pip compile -q pyproject.toml --extra dev --extra bags --extra cluster --extra registration --extra learned \
-  --extra pretrained --extra tensorboard --extra viewer --extra clouds --python-version 3.11 --custom-compile-command "make constraints"
+  --extra pretrained --extra fast --extra tensorboard --extra viewer --extra clouds --python-version 3.11 --custom-compile-command "make constraints"
 
 help:            ## list the targets
 	@grep -hE '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 24
