@@ -30,10 +30,11 @@ for dataset in kitti_06 kitti_00 kitti_00_stereo fr1_xyz fr1_desk fr1_xyz_to_des
 done
 relocbench evaluate -d "$scratch/michigan" --out "$scratch/shifts" --workers 1 --overwrite always -q -m identity -m orb-pnp -m sift-pnp \
   -m gn-net -m gn-net-contrastive -m gn-net-from-prior "${learned[@]}"
-python benchmarks/publish/shifts.py "$scratch/michigan" "$scratch/shifts" --out leaderboard/real
 relocbench probe -d "$scratch/webcams" -m gn-net-from-prior -m gn-net-contrastive -m dso --no-poses --structured 0.25 \
   --out "$scratch/webcams_probe" --workers 1 -q
-rm -rf leaderboard/{predictions,sets,reading.md,leaderboard.md,real/webcams_probe} leaderboard/*.csv
+rm -rf leaderboard/{predictions,sets,reading.md,leaderboard.md,real/webcams_probe,real/predictions} leaderboard/*.csv
+python benchmarks/publish/shifts.py "$scratch/michigan" "$scratch/shifts" --out leaderboard/real
+python benchmarks/publish/archives.py "$scratch/shifts" leaderboard/real/predictions
 mkdir -p leaderboard/real/webcams_probe
 cp "$scratch"/webcams_probe/{probe.md,probe.csv,radii.csv,curves.png,levels.png} leaderboard/real/webcams_probe/
 relocbench leaderboard "$scratch/results" --out leaderboard

@@ -93,6 +93,11 @@ PAGES = (
         ("benchmarks/publish/real.py", *_SMALL_SETS),
     ),
     Page(
+        "leaderboard/real/michigan.md",
+        "make leaderboard RECORDINGS=FOLDER",
+        ("benchmarks/publish/shifts.py", *_SMALL_SETS),
+    ),
+    Page(
         "leaderboard/real/webcams_probe/probe.md",
         "make leaderboard RECORDINGS=FOLDER",
         ("relocbench/evaluation/probe", *_SMALL_SETS),

@@ -68,6 +68,7 @@ def findings(leaderboard: Path, scratch: Path, recordings: Path | None, render: 
     handled: dict[str, Callable[[], Iterator[Finding]]] = {
         "leaderboard.md": lambda: small_sets(leaderboard, scratch, recordings),
         "real/real.md": lambda: real(leaderboard, scratch),
+        "real/michigan.md": lambda: shifts(leaderboard, scratch, recordings),
         "weather/cross_weather.md": lambda: weather(leaderboard, scratch),
     }
     for page in published.PAGES:
@@ -158,6 +159,17 @@ def real(leaderboard: Path, scratch: Path) -> Iterator[Finding]:
     page = "real/real.md"
     _run("benchmarks/publish/real.py", "--board", leaderboard, "--out", scratch / "real")
     yield compared(page, "from leaderboard.csv", leaderboard / page, scratch / "real" / "real.md")
+
+
+def shifts(leaderboard: Path, scratch: Path, recordings: Path | None) -> Iterator[Finding]:
+    """The page of known shifts, from predictions and the dataset that is built with the small sets."""
+    page = "real/michigan.md"
+    if recordings is None:
+        yield Finding(page, _PREDICTIONS, "not recomputed: no --recordings to build the dataset from")
+        return
+    results = archives.unpack(leaderboard / "real" / "predictions", scratch / "shifts")
+    _run("benchmarks/publish/shifts.py", scratch / "michigan", results, "--out", scratch / "real")
+    yield compared(page, _PREDICTIONS, leaderboard / page, scratch / page)
 
 
 def compared(page: str, source: str, old: Path, new: Path) -> Finding:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from argparse import Namespace
@@ -13,6 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
+import recompute
 from repository import ROOT
 
 from relocbench.arrays import Array, Image
@@ -26,6 +28,7 @@ from relocbench.progress import Silent
 
 sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
 sys.path.insert(0, str(ROOT / "tools" / "real_sets"))
+import archives
 import generic_folder
 import homographies
 import shifted_images
@@ -45,12 +48,12 @@ def save(path: Path, image: npt.NDArray[Any]) -> None:
     assert cv2.imwrite(str(path), image)
 
 
-def built(made: dict[str, list[generic_folder.Query]], folder: Path) -> Dataset:
+def built(made: dict[str, list[generic_folder.Query]], folder: Path, name: str = "set") -> Dataset:
     """The dataset that the generic importer makes of queries."""
     generic_folder.write(folder / "made", made)
     sources = [folder / "made" / name for name in ("map", *made)]
-    options = generic.Options(time_offset=(0.0,), max_distance=25.0, correspondences=0)
-    return generic.build(sources, options, folder / "set", Silent(), Run(workers=0))
+    options = generic.Options(name=name, time_offset=(0.0,), max_distance=25.0, correspondences=0)
+    return generic.build(sources, options, folder / name, Silent(), Run(workers=0))
 
 
 def likeness(dataset: Dataset) -> list[float]:
@@ -122,7 +125,7 @@ def test_a_shift_is_right_by_pixels_however_the_pose_explains_it(tmp_path: Path)
     from relocbench.api import evaluate
 
     options = places(tmp_path / "year", np.array([[0, 20, -70], [10, 10, 40]]))
-    dataset = built(shifted_images.made(options), tmp_path)
+    dataset = built(shifted_images.made(options), tmp_path, "michigan")
     evaluate(dataset, ["identity"], out=tmp_path / "results", workers=0)
     true, found = shifts.shifts(dataset, tmp_path / "results")
     assert np.allclose(np.sort(true), [-90, -70, 0, 20, 30, 30], atol=0.05)
@@ -134,6 +137,12 @@ def test_a_shift_is_right_by_pixels_however_the_pose_explains_it(tmp_path: Path)
     turned = make_transform(so3_exp(np.array([0.0, np.arctan(30 / 800), 0.0])), np.zeros(3))
     assert draw.shift(turned) == pytest.approx(30, abs=0.5)
     assert draw.shift(make_transform(np.eye(3), np.array([0.0, 0.0, -20.0]))) == np.inf
+
+    board = tmp_path / "board"
+    archives.pack(tmp_path / "results", "michigan", "identity", board / "real/predictions/michigan/identity.tar.xz")
+    assert [one.outcome for one in recompute.shifts(board, tmp_path, tmp_path)] == ["differs: not published"]
+    shutil.copy(tmp_path / "real" / "michigan.md", board / "real")
+    assert [one.outcome for one in recompute.shifts(board, tmp_path, tmp_path)] == ["byte-equal"]
 
 
 @pytest.mark.parametrize(

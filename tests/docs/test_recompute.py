@@ -59,5 +59,8 @@ def test_predictions_that_do_not_give_the_published_errors_are_told(published: P
 
 
 def test_every_published_page_is_told_of() -> None:
-    handled = {f"leaderboard/{name}" for name in ("leaderboard.md", "real/real.md", "weather/cross_weather.md")}
+    handled = {
+        f"leaderboard/{name}"
+        for name in ("leaderboard.md", "real/real.md", "real/michigan.md", "weather/cross_weather.md")
+    }
     assert handled <= {page.path for page in PAGES}
