@@ -36,12 +36,14 @@ from baselines.options import Finite
 from relocbench.arrays import Array, Floats, Image
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera
-from relocbench.tracking import Query, Reference, TrackResult
+from relocbench.tracking import KeyframePoints, Query, Reference, TrackResult
 
 SHIPPED = Path(__file__).parent / "shipped"
 """weights that come with the package, as NAME.safetensors"""
 MIN_AGREEMENT = 0.005
-"""below which no answer was right on the districts of the calibration"""
+"""below which hardly an answer was right on the districts of the calibration"""
+ONE_MORE = 1e-3
+"""added to an agreement before its logarithm is taken, which is finite without any then"""
 ALONG = (-10.0, -6.0, -2.0, 2.0, 6.0, 10.0)
 """metres; 2 m from the multiples of 4 m at which keyframes of rendered drives stand, so that no start is the truth"""
 TURNS_DEG = (-30.0, -15.0, 0.0, 15.0, 30.0)
@@ -69,17 +71,18 @@ class GnNetReference:
 
 @dataclass(eq=False)
 class GnNet:
-    """Direct alignment of learned features from several starts, of which the lowest final energy wins.
+    """Direct alignment of learned features from several starts, of which the one that fits best in the end wins.
 
-    Starts are the prior, or the identity without one; poses along the road from there; and poses of matched features.
-    These are accurate to some pixels and also begin on the finest level, so that no coarser one leads away from them.
+    Starts are the prior, or the identity without one; poses along the road from there; poses of matched features; and
+    poses near the best of all these. Those of matches are accurate to some pixels and also begin on the finest level,
+    so that no coarser one leads away from them.
     The landmarks of the keyframe are matched in the query. Their agreement is the share of them that are matched within
     two pixels (of the finest map) of where the answer projects them. The confidence is the
     probability that the answer is within 0.25 m and 2 degrees, from a calibration of the agreement.
 
     Args:
         weights: a file of ``relocbench train``; by default the weights that come with the package.
-        points: approximate number of pixels chosen from a dense depth image; all points of a sparse map are used.
+        points: largest number of pixels with depth; in a dense depth image those of large gradient are chosen.
         coarse_points: at most so many of them on all levels but the two finest; None: all.
         huber: in units of the spread of the reference's features on the level; larger residuals are downweighted.
         cutoff: in the same units; larger residuals are treated as outliers.
@@ -107,6 +110,8 @@ class GnNet:
         give_up: one of several starts is given up on the first level whose root mean energy is this many times that of
             the best one.
         kept: of several starts, so many go on after each level, finest first; after coarser levels than given, all.
+        nearby: on the level next to the finest, the camera of the two best poses is moved by these shares of the
+            points' median depth to both sides along each of its axes, and aligned from there too.
         min_points: with fewer points that have depth, tracking fails.
         min_agreement: with a smaller agreement, tracking fails; by default one below which no answer was right on
             validation districts.
@@ -137,7 +142,7 @@ class GnNet:
     cutoff: Annotated[float, Field(gt=0)] = 1.0
     cutoff_levels: Annotated[int, Field(ge=1)] = 1
     per_channel: bool = False
-    iterations: Counts = (10, 20, 20, 10, 8)
+    iterations: Counts = (10, 10, 20, 10, 8)
     damping: Literal["dso", "lm-reloc"] = "dso"
     prior_level: Annotated[int, Field(ge=0)] | None = None
     first_levels: Annotated[int, Field(ge=1)] = 3
@@ -149,7 +154,8 @@ class GnNet:
     hypotheses: Annotated[int, Field(ge=1)] = 2
     multistart: bool = False
     give_up: Annotated[float, Field(gt=1)] = ABANDON_FACTOR
-    kept: Counts = (3, 3, 3, 5, 8)
+    kept: Counts = (5, 6, 8, 12, 20)
+    nearby: tuple[Share, ...] = (0.02, 0.04, 0.08)
     min_points: Annotated[int, Field(ge=8)] = 30
     min_agreement: Share = MIN_AGREEMENT
     most_rival: Annotated[float, Field(ge=1)] | None = 3.0
@@ -167,6 +173,7 @@ class GnNet:
             iterations=self.iterations,
             give_up=self.give_up,
             kept=self.kept,
+            nearby=self.nearby,
             damping=LM_RELOC_DAMPING if self.damping == "lm-reloc" else DSO_DAMPING,
         )
         self._along = moved_along(np.eye(4), self.along, np.deg2rad(self.turns_deg).tolist())
@@ -195,7 +202,11 @@ class GnNet:
             MethodError: the camera is not pinhole, or the image is too small for the network.
         """
         intensities = image_pyramid(reference.image, reference.camera, SELECTION_LEVELS)
-        chosen = choose_points(reference, intensities, self.points, np.random.default_rng(self.seed))
+        rng = np.random.default_rng(self.seed)
+        chosen = choose_points(reference, intensities, self.points, rng)
+        if len(chosen) > self.points:
+            rows = np.sort(rng.choice(len(chosen), self.points, replace=False))
+            chosen = KeyframePoints(chosen.uv[rows], chosen.inverse_depth[rows], chosen.sigma[rows])
         pyramid = self.features(reference.image, reference.camera)
         on_finest = replace(chosen, uv=self._on_finest(chosen.uv))
         landmarks = Landmarks.at(on_finest, pyramid, self.start.points, np.random.default_rng(self.seed))
@@ -318,7 +329,7 @@ class GnNet:
     ) -> TrackResult:
         """The pose with its confidence, or a failure if too few landmarks agree with it, or far more with a rival."""
         agreement = matched.agreement(T_query_ref)
-        info |= {"matches": len(matched), "agreement": agreement}
+        info |= {"matches": len(matched), "agreement": agreement, "log_agreement": float(np.log(agreement + ONE_MORE))}
         if agreement < self.min_agreement:
             return TrackResult.failure(
                 f"{agreement:.1%} of {matched.sought} landmarks agree with the pose, at least "
@@ -337,6 +348,8 @@ class GnNet:
     def _info(self, found: FeatureAlignment) -> dict[str, Any]:
         return {
             "energy": float(found.energy),
+            "misfit": float(found.misfit),
+            "lead": float(found.lead),
             "points": found.points,
             "inlier_share": float(found.inlier_share),
             "levels": [outcome.level for outcome in found.outcomes],

@@ -27,7 +27,7 @@ SMALLEST_SAMPLE = 4
 class StartSettings:
     """How the initial pose is searched for."""
 
-    points: int = 400
+    points: int = 1200
     """largest number of the reference's points that are matched"""
     level: int = 2
     """the level, counted from the finest feature map, on which the whole query is searched"""

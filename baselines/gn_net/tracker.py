@@ -18,8 +18,8 @@ from relocbench.tracking import TrackResult
 
 __all__ = ["ONE_START", "GnNet", "GnNetContrastive", "GnNetFromPrior", "GnNetPnp", "LmNet", "LmNetFromPrior"]
 
-MIN_AGREEMENT_PNP, MIN_AGREEMENT_CONTRASTIVE, MIN_AGREEMENT_LM = 0.025, 0.0025, 0.03
-"""below which no answer was right on the districts of the calibration"""
+MIN_AGREEMENT_PNP, MIN_AGREEMENT_CONTRASTIVE, MIN_AGREEMENT_LM = 0.0125, 0.0025, 0.03
+"""below which hardly an answer was right on the districts of the calibration"""
 ONE_START: Mapping[str, Any] = {
     "coarse_points": None,
     "iterations": (10, 20, 50, 50, 50),
@@ -27,6 +27,7 @@ ONE_START: Mapping[str, Any] = {
     "along": (),
     "hypotheses": 1,
     "kept": (),
+    "nearby": (),
 }
 """parameters of one alignment from the prior or the identity, on all levels and with all points, as GN-Net describes
 it, and, where matches are used, one from the pose that they give"""
@@ -90,6 +91,7 @@ class LmNet(GnNet):
     name = trainer = "lm-net"
     calibration: ClassVar[Calibration | None] = LM_NET
 
+    landmarks: Annotated[int, Field(ge=4)] = 400
     coarse_points: CoarsePoints = ONE_START["coarse_points"]
     iterations: Counts = ONE_START["iterations"]
     damping: Literal["dso", "lm-reloc"] = "lm-reloc"
@@ -97,6 +99,7 @@ class LmNet(GnNet):
     along: tuple[Finite, ...] = ONE_START["along"]
     hypotheses: Annotated[int, Field(ge=1)] = ONE_START["hypotheses"]
     kept: Counts = ONE_START["kept"]
+    nearby: tuple[Share, ...] = ONE_START["nearby"]
     min_agreement: Share = MIN_AGREEMENT_LM
 
 

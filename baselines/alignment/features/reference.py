@@ -71,6 +71,11 @@ class FeaturePoints:
         return int(self.points.shape[1])
 
     @cached_property
+    def median_depth(self) -> float:
+        """Metres along z; 0 without any point."""
+        return 1.0 / float(np.median(self.points[2])) if len(self) else 0.0
+
+    @cached_property
     def spread(self) -> float:
         """A robust scale of the features: the median distance of a feature vector from the channels' medians.
 

@@ -47,6 +47,9 @@ class FeatureSettings:
     """of several starts, one is given up on the first level whose root mean energy is this many times the lowest"""
     kept: tuple[int, ...] = ()
     """of several starts, at most so many are kept after each level, finest first; after coarser levels all"""
+    nearby: tuple[float, ...] = ()
+    """shares of the points' median depth: by so much the camera of the best poses of the level next to the finest is
+    moved forth and back along each of its axes, for further starts on this level"""
     min_valid_share: float = 0.1
     """share of a level's residuals that must be in view where its alignment ends; with fewer the start has failed. The
     energy is a mean over those in view, and lowest where next to nothing is"""

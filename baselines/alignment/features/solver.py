@@ -24,6 +24,7 @@ from baselines.alignment.shared.levenberg import (
     NOT_FINITE_POINTS,
     SATURATED,
     SQUARES,
+    STATISTICS,
     WEIGHT,
     linearize_at,
     minimise_level_from_each,
@@ -32,11 +33,19 @@ from baselines.alignment.shared.pyramid import camera_intrinsics
 from baselines.alignment.shared.starts import Start
 from relocbench.arrays import Array
 from relocbench.errors import MethodError
-from relocbench.geometry import compose
+from relocbench.geometry import compose, make_transform
 
 UNKNOWNS = 6
 SAME_M, SAME_RAD = 0.02, 0.002
 """estimates of several starts that are nearer to each other are at the same pose"""
+NEARBY_LEVEL, NEARBY_BEST = 1, 2
+"""where further starts are tried, and around how many of the best poses"""
+COMPARED_LEVELS = 2
+"""the finest levels, by whose energies together the alignments of several starts are compared in the end"""
+APART, APART_RAD = 0.05, float(np.deg2rad(3.0))
+"""share of the points' median depth; estimates of several starts that are farther from each other are at poses that
+exclude each other"""
+LARGEST_LEAD = 1.0
 
 
 class FeatureProblem(NamedTuple):
@@ -86,6 +95,11 @@ class FeatureAlignment:
     (translation 3, rotation 3; axes of the query camera) for residuals of variance one"""
     variance: float
     """variance of one channel's residual at omega = 1, estimated from the inliers of the last level; NaN without any"""
+    misfit: float = float("inf")
+    """the mean energies of the two finest levels, each in units of its squared Huber threshold, added"""
+    lead: float = LARGEST_LEAD
+    """the logarithm of how many times larger the misfit of the best other pose is, at most 1: two poses are others if
+    they are more than a twentieth of the points' median depth or 3 degrees apart"""
     failure: str = ""
     """why there is no pose; empty if there is one"""
     starts: tuple[int, ...] = ()
@@ -124,12 +138,14 @@ class FeatureAlignment:
 def align_features(
     reference: ReferenceFeatures, query: FeaturePyramid, starts: Sequence[Start], settings: FeatureSettings
 ) -> FeatureAlignment:
-    """Align from one start or several and return the alignment of lowest final energy.
+    """Align from one start or several and return the alignment that fits best.
 
     The coarsest level is the last that both sides have with enough points. All starts are aligned on a level before any
     of them goes on to the next finer one, which those do that are best there: of several that have come to the same
     pose one; none whose root mean energy is more than ``give_up`` times the lowest; and at most ``kept`` of them.
-    Starts with a finer first level join on it. A failed alignment is returned only if all of them failed.
+    Starts with a finer first level join on it, and on the level next to the finest those ``nearby`` the best poses.
+    Of those that come to the end, the one wins that has the lowest sum of the energies of the two finest levels, each
+    in units of its squared Huber threshold. A failed alignment is returned only if all of them failed.
 
     Args:
         reference: points of each level with their features.
@@ -149,16 +165,18 @@ def align_features(
     aligned = [0] * (coarsest + 1)
     for level in range(coarsest, -1, -1):
         reached = [estimate for estimate in estimates if estimate.is_on(level)]
+        _align_level(reached, level, reference, query, settings)
+        if level == NEARBY_LEVEL:
+            more = _nearby(reached, reference.levels[level], settings)
+            _align_level(more, level, reference, query, settings)
+            reached, estimates = reached + more, estimates + more
         aligned[level] = len(reached)
-        pending = reached
-        while pending:
-            _minimise(pending, level, reference, query, settings)
-            pending = [estimate for estimate in pending if estimate.is_on(level)]
         _keep_best([estimate for estimate in reached if not estimate.descent.failure], level, settings)
     # Nobody is given up before somebody fits better; where all failed, the first reason is told.
     ended = [estimate for estimate in estimates if not estimate.descent.abandoned]
     right = [estimate for estimate in ended if not estimate.descent.failure]
-    best = min(right, key=lambda estimate: estimate.energy) if right else ended[0]
+    fits = sorted(((_misfit(each, reference, query, settings), each) for each in right), key=lambda fit: fit[0])
+    misfit, best = fits[0] if fits else (float("inf"), ended[0])
     return FeatureAlignment(
         T_query_ref=compose(best.T) if np.all(np.isfinite(best.T)) else best.T,
         outcomes=tuple(best.descent.outcomes),
@@ -166,9 +184,67 @@ def align_features(
         residuals=_residuals(reference.levels[0], settings),
         H=best.H,
         variance=best.variance,
+        misfit=misfit,
+        lead=_lead(fits, reference.levels[0]),
         failure=best.descent.failure,
         starts=tuple(aligned),
     )
+
+
+def _align_level(
+    estimates: Sequence[_Estimate],
+    level: int,
+    reference: ReferenceFeatures,
+    query: FeaturePyramid,
+    settings: FeatureSettings,
+) -> None:
+    """Align a level from where each of the estimates is, once more where its cutoff had to be raised."""
+    pending = estimates
+    while pending:
+        _minimise(pending, level, reference, query, settings)
+        pending = [estimate for estimate in pending if estimate.is_on(level)]
+
+
+def _nearby(reached: Sequence[_Estimate], points: FeaturePoints, settings: FeatureSettings) -> list[_Estimate]:
+    """Starts around the best poses of a level; see :attr:`FeatureSettings.nearby`."""
+    best: list[_Estimate] = []
+    for estimate in sorted((each for each in reached if not each.descent.failure), key=lambda each: each.energy):
+        if len(best) < NEARBY_BEST and not any(estimate.is_at(better) for better in best):
+            best.append(estimate)
+    moves = [
+        share * points.median_depth * sign * axis
+        for share in settings.nearby
+        for sign in (1.0, -1.0)
+        for axis in np.eye(3)
+    ]
+    moved = (make_transform(np.eye(3), move) @ compose(estimate.T) for estimate in best for move in moves)
+    return [_Estimate(Start(pose), NEARBY_LEVEL) for pose in moved]
+
+
+def _misfit(
+    estimate: _Estimate, reference: ReferenceFeatures, query: FeaturePyramid, settings: FeatureSettings
+) -> float:
+    """The sum of the mean energies of the finest levels at a pose, each in units of its squared Huber threshold."""
+    H, g, statistics = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS), np.empty(STATISTICS)
+    total = 0.0
+    for level in range(min(COMPARED_LEVELS, len(reference), len(query))):
+        huber, cutoff = settings.thresholds(reference.levels[level], 0)  # the finest level's: the cutoff counts on all
+        if huber > 0:
+            p = _problem(level, reference, query, huber, settings)
+            linearize_features(
+                p.level_map, p.points, p.values, p.weights, p.intrinsics, estimate.T, p.huber, cutoff, p.per_channel,
+                p.workspace, H, g, statistics,
+            )  # fmt: skip
+            total += float(statistics[ENERGY]) / huber**2
+    return total
+
+
+def _lead(fits: Sequence[tuple[float, _Estimate]], points: FeaturePoints) -> float:
+    """See :attr:`FeatureAlignment.lead`; ``fits`` are misfits and their estimates, the best first."""
+    for misfit, estimate in fits[1:]:
+        if not estimate.is_at(fits[0][1], APART * points.median_depth, APART_RAD):
+            return min(float(np.log(misfit / fits[0][0])), LARGEST_LEAD) if fits[0][0] > 0 else LARGEST_LEAD
+    return LARGEST_LEAD
 
 
 def _keep_best(reached: Sequence[_Estimate], level: int, settings: FeatureSettings) -> None:
@@ -199,11 +275,11 @@ class _Estimate:
         """Whether this level is the next to be worked on."""
         return self.descent.level == level and not self.descent.ended
 
-    def is_at(self, other: _Estimate) -> bool:
+    def is_at(self, other: _Estimate, metres: float = SAME_M, radians: float = SAME_RAD) -> bool:
         """Whether the camera stands where another estimate has it, and looks the same way."""
         return (
-            float(np.linalg.norm(self.T[:3, 3] - other.T[:3, 3])) < SAME_M
-            and float(np.linalg.norm(self.T[:3, :3] - other.T[:3, :3])) < np.sqrt(2) * SAME_RAD
+            float(np.linalg.norm(self.T[:3, 3] - other.T[:3, 3])) < metres
+            and float(np.linalg.norm(self.T[:3, :3] - other.T[:3, :3])) < np.sqrt(2) * radians
         )
 
 
@@ -224,7 +300,7 @@ def _minimise(
     settings: FeatureSettings,
 ) -> None:
     """Align a level from where each of the estimates is."""
-    points, seen = reference.levels[level], query.levels[level]
+    points = reference.levels[level]
     huber, cutoff = settings.thresholds(points, level)
     if not huber > 0:
         reason = "all the same" if huber == 0 else "not finite"
@@ -232,18 +308,8 @@ def _minimise(
         for estimate in estimates:
             estimate.descent.advance(nothing, f"the reference's features are {reason} on level {level}")
         return
-    problem = FeatureProblem(
-        seen.map,
-        points.points,
-        points.values,
-        points.weights,
-        camera_intrinsics(seen.camera),
-        huber,
-        settings.per_channel,
-        workspace_for(points.points),
-    )
     found = minimise_level_from_each(
-        problem,
+        _problem(level, reference, query, huber, settings),
         np.stack([estimate.T for estimate in estimates]),
         UNKNOWNS,
         cutoff,
@@ -253,7 +319,7 @@ def _minimise(
     residuals = _residuals(points, settings)
     for estimate, T, mean_H, statistics, iterations, factor, end in zip(estimates, *found, strict=True):
         estimate.T, estimate.H = T, mean_H * statistics[WEIGHT]
-        estimate.variance = _variance(statistics, seen.channels, settings.per_channel)
+        estimate.variance = _variance(statistics, points.values.shape[1], settings.per_channel)
         valid, saturated = int(statistics[COUNT]), int(statistics[SATURATED])
         outcome = LevelOutcome(
             level, int(iterations), float(statistics[ENERGY]), valid, saturated, float(factor), int(end)
@@ -264,6 +330,22 @@ def _minimise(
         elif not failure and valid < settings.min_valid_share * residuals:
             failure = f"only {valid} of {residuals} residuals project into the query on level {level}"
         estimate.descent.advance(outcome, failure)
+
+
+def _problem(
+    level: int, reference: ReferenceFeatures, query: FeaturePyramid, huber: float, settings: FeatureSettings
+) -> FeatureProblem:
+    points, seen = reference.levels[level], query.levels[level]
+    return FeatureProblem(
+        seen.map,
+        points.points,
+        points.values,
+        points.weights,
+        camera_intrinsics(seen.camera),
+        huber,
+        settings.per_channel,
+        workspace_for(points.points),
+    )
 
 
 def _residuals(points: FeaturePoints, settings: FeatureSettings) -> int:

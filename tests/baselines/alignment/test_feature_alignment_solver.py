@@ -257,6 +257,33 @@ def test_a_start_on_a_finer_level_leaves_the_coarser_ones_out(
     assert deepest.outcomes[0].level == len(query) - 1
 
 
+def test_starts_near_the_best_poses_reach_what_these_do_not(
+    reference: ReferenceFeatures, query: FeaturePyramid
+) -> None:
+    """One step from 2.5 m off; a tenth of the median depth of 9 m leads back to where the second step reaches."""
+    beside = [Start(make_transform(np.eye(3), [2.5, 0.0, 0.0]) @ MOTION, 1)]
+    settings = FeatureSettings(iterations=(50, 1))
+    assert error(align_features(reference, query, beside, settings).T_query_ref)[0] > 1
+    found = align_features(reference, query, beside, replace(settings, nearby=(0.1, 0.2)))
+    assert found.starts[1] == 1 + 2 * 6
+    assert error(found.T_query_ref)[0] < 0.002
+
+
+def test_the_lead_compares_the_misfit_with_that_of_the_best_other_pose(
+    reference: ReferenceFeatures, query: FeaturePyramid
+) -> None:
+    lenient = FeatureSettings(give_up=1e6, min_valid_share=0.0)
+    starts = [Start(motion((metres, 0, 0), (0, 0, 0)), 0) for metres in (6, -6)]
+    first, second = sorted((align_features(reference, query, [s], lenient) for s in starts), key=lambda a: a.misfit)
+    assert first.lead == second.lead == 1.0
+    both = align_features(reference, query, starts, lenient)
+    assert both.misfit == first.misfit
+    assert both.lead == pytest.approx(min(np.log(second.misfit / first.misfit), 1.0))
+    assert 0 < both.lead < 1
+    same = align_features(reference, query, [starts[0], starts[0]], lenient)
+    assert same.lead == 1.0
+
+
 def _starts(metres: float, degrees: float, count: int = 12) -> list[Array]:
     """Starts off the truth by so much, in seeded directions."""
     rng = np.random.default_rng(int(100 * metres))

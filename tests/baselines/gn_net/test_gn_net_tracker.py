@@ -133,7 +133,7 @@ def test_from_a_prior_coarse_levels_can_be_left_out(weights: Path) -> None:
     levels = {}
     for prior_level in (None, 1, 0):
         tracker = GnNetFromPrior(
-            weights=weights, prior_level=prior_level, first_levels=1, along=(), kept=(), min_agreement=0.0
+            weights=weights, prior_level=prior_level, first_levels=1, along=(), kept=(), nearby=(), min_agreement=0.0
         )
         reference = tracker.prepare(reference_and_query[0])
         for given in (None, prior):
@@ -332,9 +332,11 @@ def test_an_answer_that_another_pose_explains_far_better_is_a_stated_failure(wei
     beside = make_transform(so3_exp([0.0, 0.05, 0.0]), np.zeros(3)) @ right
     agreement = matched.agreement(right)
     assert agreement > 3 * max(matched.agreement(beside), 0.01)
-    assert tracker._answer(right, matched, {}, [beside, right]).answered
-    refused = replace(tracker, min_agreement=0.0)._answer(beside, matched, {}, [right])
-    assert refused.message.endswith(f" of 400 landmarks agree with the pose, {agreement:.1%} with another one")
+    assert tracker._answer(right, matched, {"lead": 1.0}, [beside, right]).answered
+    refused = replace(tracker, min_agreement=0.0)._answer(beside, matched, {"lead": 1.0}, [right])
+    assert refused.message.endswith(
+        f" of {len(reference.landmarks)} landmarks agree with the pose, {agreement:.1%} with another one"
+    )
 
 
 def test_pnp_without_matches_is_a_stated_failure(weights: Path) -> None:
