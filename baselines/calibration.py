@@ -1,7 +1,8 @@
 """Confidence as a probability: logistic regression on the evidence that an answer leaves.
 
 The constants are those that ``benchmarks/publish/calibration.py`` prints, fitted to the validation districts 51, 52 and
-53. A wrong answer counts eight times there, so that the confidences are lower estimates.
+53, those of GN-Net also to odd districts of edition 2026.1. A wrong answer counts eight times there, so that the
+confidences are lower estimates.
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ class Calibration:
         return 0.5 * (1.0 + math.tanh(0.5 * log_odds))
 
 
-GN_NET = Calibration(-3.291, {"agreement": 45.22})
-GN_NET_PNP = Calibration(-4.568, {"agreement": 29.46})
-GN_NET_FROM_PRIOR = Calibration(-3.371, {"agreement": 40.71})
-GN_NET_CONTRASTIVE = Calibration(-3.652, {"agreement": 22.07})
+GN_NET = Calibration(7.151, {"log_agreement": 2.2, "lead": 0.7272})
+GN_NET_PNP = Calibration(6.73, {"log_agreement": 2.783})
+GN_NET_FROM_PRIOR = Calibration(6.937, {"log_agreement": 2.32, "lead": 1.131})
+GN_NET_CONTRASTIVE = Calibration(6.353, {"log_agreement": 2.21, "lead": 1.279})
 LM_NET = Calibration(-4.709, {"agreement": 37.78})
 DSO = Calibration(-6.639, {"correlation": 18.77})
 DSO_MULTISTART = Calibration(-6.301, {"correlation": 18.18})

@@ -3,7 +3,9 @@
 In each district drives in three conditions are rendered. Pairs are drawn from all images of the district that are at
 most 14 m and 45 degrees apart (``--pairs``), and between its keyframes and images of another district
 (``--different``), where nothing can be answered and every answer is wrong. These are fitted to; a dataset's own pairs
-of different places (``build-dataset --elsewhere``), which lie in one district, test what came of it. Every method
+of different places (``build-dataset --elsewhere``), which lie in one district, test what came of it. ``--edition E``
+adds the pairs of the validation split of an edition (``build-dataset edition``) that is in the folder E: of the tiers
+medium, hard and extreme, odd districts to those that are fitted, and even ones as a report of each tier. Every method
 answers all pairs, however little speaks for its answer. On the districts of ``--fit`` a logistic regression, never
 falling in the evidence, predicts which answers are within 0.25 m and 2 degrees. Printed are its coefficients, to be
 written into ``baselines/calibration.py``; how many right and wrong answers each limit on the evidence would refuse;
@@ -12,7 +14,7 @@ and, for the districts of ``--report``, how often answers of each confidence are
 
 Datasets and answers are kept in ``--scratch``; when it is run again, only what is missing is made.
 
-    python benchmarks/publish/calibration.py --scratch S [--fit 51,52,53] [--report 100,101,102] [-m METHOD ...]
+    python benchmarks/publish/calibration.py --scratch S [--edition E] [-m METHOD ...]
 
 ``-m aliked-pnp`` needs its authors' weights where the method looks for them, and is not among the default methods. The
 last line is JSON.
@@ -85,6 +87,8 @@ GIVEN_WEIGHTS = ("aliked-pnp",)
 """methods whose weights the user has to fetch"""
 EDGES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
 """of the confidences that are counted together"""
+TIERS = ("medium", "hard", "extreme")
+"""of an edition; in the easy one hardly any answer is wrong"""
 CAUTION = 8.0
 """how often a wrong answer counts in the fit, so that confidences are lower estimates: one of 0.5 stands for odds of
 eight to one. In districts whose streets repeat themselves more answers are wrong that look right"""
@@ -122,16 +126,20 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         scratch = options.scratch or Path(temporary)
         seeds = {"fit": _seeds(options.fit), "report": _seeds(options.report)}
-        answers: dict[str, dict[str, list[Answered]]] = {"fit": {}, "report": {}}
-        for role, districts in seeds.items():
-            for seed in districts:
-                build_district(scratch, seed, options.workers)
-            for method, seed in itertools.product(options.methods, districts):
-                of_method = answers[role].setdefault(method, [])
-                of_method += _answers(scratch, method, seed, neighbour(seed, districts), options)
-    told = {}
-    for method in options.methods:
-        told[method] = _told(method, METHODS[method]().calibration, answers["fit"][method], answers["report"][method])
+        told = {}
+        for seed in itertools.chain.from_iterable(seeds.values()):
+            build_district(scratch, seed, options.workers)
+        for method in options.methods:
+            answers: dict[str, list[Answered]] = {"fit": [], "report": []}
+            for role, districts in seeds.items():
+                for seed in districts:
+                    answers[role] += _answers(scratch, method, seed, neighbour(seed, districts), options)
+            for tier, number in itertools.product(
+                TIERS, sorted(of_edition(options.edition)) if options.edition else ()
+            ):
+                answers.setdefault(tier, [])
+                answers["fit" if number % 2 else tier] += _of_tier(scratch, method, options.edition, tier, number)
+            told[method] = _told(method, METHODS[method]().calibration, answers)
     print(json.dumps({"benchmark": "calibration", **told}))
 
 
@@ -140,6 +148,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--scratch", type=Path, help="folder that keeps datasets and answers; default: a temporary one")
     parser.add_argument("--fit", default="51,52,53", help="seeds of the districts that are fitted")
     parser.add_argument("--report", default="100,101,102", help="seeds of the districts that are reported")
+    parser.add_argument("--edition", type=Path, help="folder of the validation split of an edition; default: none")
     parser.add_argument("--pairs", type=int, default=150, help="pairs of a district")
     parser.add_argument("--different", type=int, default=50, help="pairs of different places of a district")
     parser.add_argument("--workers", "-j", type=int, default=2, help="processes that render")
@@ -181,18 +190,43 @@ def _data(scratch: Path, seed: int) -> Path:
 
 def _answers(scratch: Path, method: str, seed: int, other: int, options: argparse.Namespace) -> list[Answered]:
     """The answers of a method to the pairs of a district, kept in a file of JSON lines."""
-    by = made_by(type(METHODS[method]()))
-    path = scratch / "answers" / f"{method}-{by}-{seed}-{options.pairs}-{options.different}.jsonl"
+    dataset, elsewhere = Dataset(_data(scratch, seed)), Dataset(_data(scratch, other))
+
+    def asked(tracker: Any) -> Iterator[Answered]:
+        yield from ask(tracker, dataset, dataset, same_place(dataset, options.pairs, seed))
+        yield from ask(tracker, dataset, elsewhere, different_places(dataset, elsewhere, options.different, seed))
+
+    return _kept(scratch, method, f"{seed}-{options.pairs}-{options.different}", asked)
+
+
+def of_edition(folder: Path) -> list[int]:
+    """The numbers of the districts that an edition has in all tiers of :data:`TIERS`."""
+    return [
+        int(path.name)
+        for path in (folder / TIERS[0]).iterdir()
+        if all((folder / t / path.name).is_dir() for t in TIERS)
+    ]
+
+
+def _of_tier(scratch: Path, method: str, edition: Path, tier: str, number: int) -> list[Answered]:
+    """The answers of a method to the pairs of a district of an edition."""
+    dataset = Dataset(edition / tier / f"{number:02d}")
+    pairs = [
+        Asked((of.reference, pair.ref_timestamp_ns), (of.query, pair.query_timestamp_ns), pair.T_query_ref)
+        for of in map(dataset.pair_set, dataset.pair_set_names)
+        for pair in of.pairs
+    ]
+    in_order = sorted(pairs, key=lambda pair: (pair.reference, pair.query))
+    return _kept(scratch, method, dataset.name, lambda tracker: ask(tracker, dataset, dataset, in_order))
+
+
+def _kept(scratch: Path, method: str, name: str, asked: Callable[[Any], Iterable[Answered]]) -> list[Answered]:
+    """The answers of a method, kept in a file of JSON lines."""
+    path = scratch / "answers" / f"{method}-{made_by(type(METHODS[method]()))}-{name}.jsonl"
     if not path.exists():
-        dataset, elsewhere = Dataset(_data(scratch, seed)), Dataset(_data(scratch, other))
-        tracker = METHODS[method]()
-        found = [
-            *ask(tracker, dataset, dataset, same_place(dataset, options.pairs, seed)),
-            *ask(tracker, dataset, elsewhere, different_places(dataset, elsewhere, options.different, seed)),
-        ]
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(".part")
-        part.write_text("".join(f"{json.dumps(asdict(each))}\n" for each in found))
+        part.write_text("".join(f"{json.dumps(asdict(each))}\n" for each in asked(METHODS[method]())))
         part.rename(path)
     return [Answered(**json.loads(line)) for line in path.read_text().splitlines()]
 
@@ -279,10 +313,10 @@ def fit(evidence: Array, right: Mask, names: Sequence[str], caution: float = 1.0
     return Calibration(float(found[0] - weights @ middle), dict(zip(names, weights.tolist(), strict=True)))
 
 
-def _told(method: str, kept: Calibration, fitted: list[Answered], reported: list[Answered]) -> dict[str, Any]:
+def _told(method: str, kept: Calibration, answers: Mapping[str, list[Answered]]) -> dict[str, Any]:
     """Print what was fitted for a method and what it is worth; the same as a mapping."""
     names = list(kept.weights)
-    given = [each for each in fitted if each.answered]
+    given = [each for each in answers["fit"] if each.answered]
     evidence = np.array([[each.info[name] for name in names] for each in given]).reshape(-1, len(names))
     right = np.array([each.right for each in given], dtype=bool)
     found = fit(evidence, right, names, CAUTION)
@@ -293,8 +327,8 @@ def _told(method: str, kept: Calibration, fitted: list[Answered], reported: list
         refused = evidence[:, 0] < limit
         print(f"| {limit:.4g} | {_percent(refused[right])} | {_percent(refused[~right])} |")
     worth: dict[str, Any] = {"found": {"offset": found.offset, **found.weights}}
-    for role, answers in (("fit", fitted), ("report", reported)):
-        worth[role] = reliability(answers, kept)
+    for role, of_role in answers.items():
+        worth[role] = reliability(of_role, kept)
         print(f"\n{role}: {json.dumps({key: value for key, value in worth[role].items() if key != 'bins'})}\n")
         print("| confidence | answers | mean confidence | right, % |\n|---|---|---|---|")
         for row in worth[role]["bins"]:
