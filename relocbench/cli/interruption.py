@@ -44,6 +44,10 @@ def interruptible() -> Iterator[None]:
     _told.clear()
     try:
         yield
+    except Exception as raised:
+        if _heard.is_set():  # compiled code may give the interruption on as an error of its own, as pydantic's does
+            raise KeyboardInterrupt from raised
+        raise
     finally:
         if not _heard.is_set():  # else the thread goes on seeing to it, until the interpreter has ended
             for number, handler in before.items():

@@ -190,3 +190,18 @@ def test_one_ctrl_c_ends_a_command_whose_interpreter_would_take_long_to_end(tmp_
         "relocbench.cli.main()\n"
     )
     interrupted([sys.executable, "-c", program], (tmp_path / "mark").exists, signal.SIGINT, True, tmp_path)
+
+
+def test_an_interruption_that_a_library_wraps_in_an_error_of_its_own_ends_in_a_line(tmp_path: Path) -> None:
+    """Pydantic's serializers raise a PydanticSerializationError where a KeyboardInterrupt comes in Python code."""
+    script = (
+        "import os, signal, sys, types; import relocbench.cli as cli\n"
+        "def run():\n"
+        "    try: os.kill(os.getpid(), signal.SIGINT); signal.pause()\n"
+        "    except KeyboardInterrupt as bad: raise ValueError('a library') from bad\n"
+        "sys.modules['relocbench.cli.app'] = types.SimpleNamespace(run=run); cli.main()"
+    )
+    command = [sys.executable, "-c", script]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=WAIT_S)
+    assert (ended.returncode, ended.stdout) == (130, "")
+    assert ended.stderr == "relocbench: interrupted; the same command goes on where it stopped\n"
