@@ -48,6 +48,7 @@ from baselines.gn_net.tracker import GnNet, GnNetContrastive, GnNetFromPrior, Gn
 from baselines.learned_pnp import AlikedPnp
 from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.edition_folder import datasets_of
 from relocbench.geometry import invert, rotation_angle
 from relocbench.metrics import pose_errors
 from relocbench.tracking import Query, TrackResult
@@ -134,11 +135,10 @@ def main() -> None:
             for role, districts in seeds.items():
                 for seed in districts:
                     answers[role] += _answers(scratch, method, seed, neighbour(seed, districts), options)
-            for tier, number in itertools.product(
-                TIERS, sorted(of_edition(options.edition)) if options.edition else ()
-            ):
-                answers.setdefault(tier, [])
-                answers["fit" if number % 2 else tier] += _of_tier(scratch, method, options.edition, tier, number)
+            for tier in TIERS if options.edition else ():
+                for folder in datasets_of(options.edition / tier):
+                    role = "fit" if int(folder.name) % 2 else tier
+                    answers.setdefault(role, []).extend(_of_district(scratch, method, folder))
             told[method] = _told(method, METHODS[method]().calibration, answers)
     print(json.dumps({"benchmark": "calibration", **told}))
 
@@ -199,18 +199,9 @@ def _answers(scratch: Path, method: str, seed: int, other: int, options: argpars
     return _kept(scratch, method, f"{seed}-{options.pairs}-{options.different}", asked)
 
 
-def of_edition(folder: Path) -> list[int]:
-    """The numbers of the districts that an edition has in all tiers of :data:`TIERS`."""
-    return [
-        int(path.name)
-        for path in (folder / TIERS[0]).iterdir()
-        if all((folder / t / path.name).is_dir() for t in TIERS)
-    ]
-
-
-def _of_tier(scratch: Path, method: str, edition: Path, tier: str, number: int) -> list[Answered]:
+def _of_district(scratch: Path, method: str, folder: Path) -> list[Answered]:
     """The answers of a method to the pairs of a district of an edition."""
-    dataset = Dataset(edition / tier / f"{number:02d}")
+    dataset = Dataset(folder)
     pairs = [
         Asked((of.reference, pair.ref_timestamp_ns), (of.query, pair.query_timestamp_ns), pair.T_query_ref)
         for of in map(dataset.pair_set, dataset.pair_set_names)

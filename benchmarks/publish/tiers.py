@@ -55,6 +55,7 @@ METHODS = (
     "dso",
     "gn-net-one-start=gn-net-from-prior",
     "gn-net-from-prior",
+    "gn-net-contrastive",
     "gn-net",
     "aliked-pnp",
     "gn-net-from-aliked-pnp=gn-net-from-prior",

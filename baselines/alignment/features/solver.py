@@ -165,10 +165,10 @@ def align_features(
     aligned = [0] * (coarsest + 1)
     for level in range(coarsest, -1, -1):
         reached = [estimate for estimate in estimates if estimate.is_on(level)]
-        _align_level(reached, level, reference, query, settings)
+        _minimise(reached, level, reference, query, settings)
         if level == NEARBY_LEVEL:
             more = _nearby(reached, reference.levels[level], settings)
-            _align_level(more, level, reference, query, settings)
+            _minimise(more, level, reference, query, settings)
             reached, estimates = reached + more, estimates + more
         aligned[level] = len(reached)
         _keep_best([estimate for estimate in reached if not estimate.descent.failure], level, settings)
@@ -191,20 +191,6 @@ def align_features(
     )
 
 
-def _align_level(
-    estimates: Sequence[_Estimate],
-    level: int,
-    reference: ReferenceFeatures,
-    query: FeaturePyramid,
-    settings: FeatureSettings,
-) -> None:
-    """Align a level from where each of the estimates is, once more where its cutoff had to be raised."""
-    pending = estimates
-    while pending:
-        _minimise(pending, level, reference, query, settings)
-        pending = [estimate for estimate in pending if estimate.is_on(level)]
-
-
 def _nearby(reached: Sequence[_Estimate], points: FeaturePoints, settings: FeatureSettings) -> list[_Estimate]:
     """Starts around the best poses of a level; see :attr:`FeatureSettings.nearby`."""
     best: list[_Estimate] = []
@@ -224,7 +210,10 @@ def _nearby(reached: Sequence[_Estimate], points: FeaturePoints, settings: Featu
 def _misfit(
     estimate: _Estimate, reference: ReferenceFeatures, query: FeaturePyramid, settings: FeatureSettings
 ) -> float:
-    """The sum of the mean energies of the finest levels at a pose, each in units of its squared Huber threshold."""
+    """The sum of the mean energies of the finest levels at a pose, each in units of its squared Huber threshold.
+
+    Infinite where a level has no valid residual, or a feature that is not finite.
+    """
     H, g, statistics = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS), np.empty(STATISTICS)
     total = 0.0
     for level in range(min(COMPARED_LEVELS, len(reference), len(query))):
@@ -236,14 +225,17 @@ def _misfit(
                 p.workspace, H, g, statistics,
             )  # fmt: skip
             total += float(statistics[ENERGY]) / huber**2
-    return total
+    return total if np.isfinite(total) else np.inf
 
 
 def _lead(fits: Sequence[tuple[float, _Estimate]], points: FeaturePoints) -> float:
     """See :attr:`FeatureAlignment.lead`; ``fits`` are misfits and their estimates, the best first."""
     for misfit, estimate in fits[1:]:
-        if not estimate.is_at(fits[0][1], APART * points.median_depth, APART_RAD):
-            return min(float(np.log(misfit / fits[0][0])), LARGEST_LEAD) if fits[0][0] > 0 else LARGEST_LEAD
+        lowest, best = fits[0]
+        if not estimate.is_at(best, APART * points.median_depth, APART_RAD):
+            if misfit == lowest:  # also where both are infinite
+                return 0.0
+            return min(float(np.log(misfit / lowest)), LARGEST_LEAD) if lowest > 0 else LARGEST_LEAD
     return LARGEST_LEAD
 
 
@@ -299,7 +291,9 @@ def _minimise(
     query: FeaturePyramid,
     settings: FeatureSettings,
 ) -> None:
-    """Align a level from where each of the estimates is."""
+    """Align a level from where each of the estimates is, once more where its cutoff had to be raised."""
+    if not estimates:
+        return
     points = reference.levels[level]
     huber, cutoff = settings.thresholds(points, level)
     if not huber > 0:
@@ -330,6 +324,7 @@ def _minimise(
         elif not failure and valid < settings.min_valid_share * residuals:
             failure = f"only {valid} of {residuals} residuals project into the query on level {level}"
         estimate.descent.advance(outcome, failure)
+    _minimise([each for each in estimates if each.is_on(level)], level, reference, query, settings)
 
 
 def _problem(

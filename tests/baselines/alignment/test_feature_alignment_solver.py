@@ -284,6 +284,17 @@ def test_the_lead_compares_the_misfit_with_that_of_the_best_other_pose(
     assert same.lead == 1.0
 
 
+def test_poses_that_cannot_be_compared_on_the_second_level_have_no_lead(
+    reference: ReferenceFeatures, query: FeaturePyramid
+) -> None:
+    finest, *coarser = (level.map.copy() for level in query.levels)
+    blind = FeaturePyramid.from_maps([finest, *(np.full_like(level, np.nan) for level in coarser)], CAMERA)
+    starts = [Start(motion((metres, 0, 0), (0, 0, 0)), 0) for metres in (6, -6)]
+    found = align_features(reference, blind, starts, FeatureSettings(give_up=1e6, min_valid_share=0.0))
+    assert not found.failure
+    assert (found.misfit, found.lead) == (np.inf, 0.0)
+
+
 def _starts(metres: float, degrees: float, count: int = 12) -> list[Array]:
     """Starts off the truth by so much, in seeded directions."""
     rng = np.random.default_rng(int(100 * metres))
