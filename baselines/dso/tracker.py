@@ -55,7 +55,7 @@ class Dso:
     correlation between keyframe and query around the points, with 0 for points out of view.
 
     Args:
-        points: approximate number of pixels chosen from a dense depth image; all points of a sparse map are used.
+        points: largest number of points with depth; of more, those of large gradient are chosen.
         huber: grey levels; larger residuals are downweighted.
         cutoff: grey levels; larger residuals are treated as outliers.
         cutoff_levels: number of the finest levels on which the cutoff applies; coarser ones only have the Huber loss.

@@ -36,7 +36,7 @@ from baselines.options import Finite
 from relocbench.arrays import Array, Floats, Image
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera
-from relocbench.tracking import KeyframePoints, Query, Reference, TrackResult
+from relocbench.tracking import Query, Reference, TrackResult
 
 SHIPPED = Path(__file__).parent / "shipped"
 """weights that come with the package, as NAME.safetensors"""
@@ -82,7 +82,7 @@ class GnNet:
 
     Args:
         weights: a file of ``relocbench train``; by default the weights that come with the package.
-        points: largest number of pixels with depth; in a dense depth image those of large gradient are chosen.
+        points: largest number of points with depth; of more, those of large gradient are chosen.
         coarse_points: at most so many of them on all levels but the two finest; None: all.
         huber: in units of the spread of the reference's features on the level; larger residuals are downweighted.
         cutoff: in the same units; larger residuals are treated as outliers.
@@ -202,11 +202,7 @@ class GnNet:
             MethodError: the camera is not pinhole, or the image is too small for the network.
         """
         intensities = image_pyramid(reference.image, reference.camera, SELECTION_LEVELS)
-        rng = np.random.default_rng(self.seed)
-        chosen = choose_points(reference, intensities, self.points, rng)
-        if len(chosen) > self.points:
-            rows = np.sort(rng.choice(len(chosen), self.points, replace=False))
-            chosen = KeyframePoints(chosen.uv[rows], chosen.inverse_depth[rows], chosen.sigma[rows])
+        chosen = choose_points(reference, intensities, self.points, np.random.default_rng(self.seed))
         pyramid = self.features(reference.image, reference.camera)
         on_finest = replace(chosen, uv=self._on_finest(chosen.uv))
         landmarks = Landmarks.at(on_finest, pyramid, self.start.points, np.random.default_rng(self.seed))

@@ -26,17 +26,34 @@ DIRECTIONS = 16
 
 
 def choose_points(reference: Reference, levels: list[Level], count: int, rng: np.random.Generator) -> KeyframePoints:
-    """All points of a sparse map, or about ``count`` pixels of large gradient of a dense depth image.
+    """The points of a sparse map, or pixels of a dense depth image: at most about ``count``, of large gradient.
 
-    ``levels`` is the keyframe's intensity pyramid, finest first.
+    Of a map with more points, such as a lidar's scan, those whose pixels are chosen as in a depth image, and others at
+    random where these are too few. ``levels`` is the keyframe's intensity pyramid, finest first.
     """
     if reference.sparse_points is not None or reference.depth is None:
-        return reference.points
+        return _choose_of_map(reference.points, levels, count, rng)
     known = np.isfinite(reference.depth) & (reference.depth > 0)
     uv = select_pixels(levels, known, count, rng)
     z = reference.depth[uv[:, 1], uv[:, 0]].astype(np.float64)
     a, b, c = reference.depth_sigma
     return KeyframePoints(uv.astype(np.float64), 1.0 / z, (a + b * z + c * z * z) / (z * z))
+
+
+def _choose_of_map(points: KeyframePoints, levels: list[Level], count: int, rng: np.random.Generator) -> KeyframePoints:
+    """At most ``count`` points of a sparse map, see :func:`choose_points`; of several at one pixel the last."""
+    if len(points) <= count:
+        return points
+    height, width = levels[0].map.shape[:2]
+    u, v = np.rint(points.uv).astype(int).T
+    inside = np.flatnonzero((u >= 0) & (v >= 0) & (u < width) & (v < height))
+    at_pixel = np.full((height, width), -1)
+    at_pixel[v[inside], u[inside]] = inside
+    uv = select_pixels(levels, at_pixel >= 0, count, rng)
+    steep = at_pixel[uv[:, 1], uv[:, 0]]
+    others = rng.permutation(np.setdiff1d(np.arange(len(points)), steep))
+    rows = np.sort(np.concatenate([steep, others[: count - len(steep)]]))
+    return KeyframePoints(points.uv[rows], points.inverse_depth[rows], points.sigma[rows])
 
 
 def select_pixels(levels: list[Level], candidates: Mask, wanted: int, rng: np.random.Generator) -> NDArray[np.int32]:

@@ -18,9 +18,9 @@ from baselines.alignment.shared.depth_map import (
     splat,
 )
 from baselines.alignment.shared.pyramid import image_pyramid
-from baselines.alignment.shared.selection import block_thresholds, select_pixels
+from baselines.alignment.shared.selection import block_thresholds, choose_points, select_pixels
 from relocbench.geometry import Camera
-from relocbench.tracking import KeyframePoints
+from relocbench.tracking import KeyframePoints, Reference
 
 
 def keyframe_points(*rows: tuple[float, float, float, float]) -> KeyframePoints:
@@ -58,6 +58,35 @@ def test_pixels_lie_where_the_gradient_is() -> None:
     uv = select_pixels(levels, np.ones(grey.shape, dtype=bool), 300, np.random.default_rng(0))
     strength = np.hypot(levels[0].map[..., 1], levels[0].map[..., 2])
     assert np.median(strength[uv[:, 1], uv[:, 0]]) > 1.5 * np.median(strength)
+
+
+def test_of_a_scan_those_points_are_chosen_that_lie_where_the_gradient_is() -> None:
+    grey, _ = render(np.eye(4))
+    rng = np.random.default_rng(3)
+    width, height = CAMERA.size
+    uv = rng.uniform(-0.4, [width - 0.6, height - 0.6], (20_000, 2))
+    scan = KeyframePoints(uv, rng.uniform(0.1, 1.0, 20_000), np.full(20_000, 0.01))
+    reference = Reference("scan", 0, to_image(grey), CAMERA, sparse_points=scan)
+    levels = image_pyramid(reference.image, CAMERA)
+    chosen = choose_points(reference, levels, 500, np.random.default_rng(0))
+    rows = [np.flatnonzero((scan.uv == each).all(axis=1)) for each in chosen.uv]
+    assert len(np.unique(np.concatenate(rows))) == len(chosen) == 500
+    np.testing.assert_array_equal(chosen.inverse_depth, scan.inverse_depth[np.concatenate(rows)])
+    strength = np.hypot(levels[0].map[..., 1], levels[0].map[..., 2])
+
+    def median_at(points: KeyframePoints) -> float:
+        return float(np.median(strength[tuple(np.rint(points.uv[:, ::-1]).astype(int).T)]))
+
+    assert median_at(chosen) > 1.5 * median_at(scan)
+
+
+def test_points_outside_the_image_and_without_gradient_are_chosen_where_there_are_no_others() -> None:
+    rng = np.random.default_rng(4)
+    scan = KeyframePoints(rng.uniform(-50, 300, (900, 2)), np.full(900, 0.2), np.full(900, 0.01))
+    blank = Reference("blank", 0, np.full(CAMERA.size[::-1], 90, dtype=np.uint8), CAMERA, sparse_points=scan)
+    chosen = choose_points(blank, image_pyramid(blank.image, CAMERA), 300, np.random.default_rng(0))
+    assert len(np.unique(chosen.uv, axis=0)) == 300
+    assert choose_points(blank, image_pyramid(blank.image, CAMERA), 900, np.random.default_rng(0)) is scan
 
 
 def test_a_blank_image_gives_no_point() -> None:

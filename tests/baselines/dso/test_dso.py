@@ -80,7 +80,7 @@ def test_a_dense_keyframe_is_aligned_from_the_identity(tracker_class: type[Dso])
 
 
 def test_a_sparse_keyframe_is_aligned_with_the_points_it_has() -> None:
-    tracker = Dso(points=50)
+    tracker = Dso(points=700)
     reference = dense_reference(depth=None, sparse_points=sparse_points(700))
     prepared = tracker.prepare(reference)
     assert prepared.selected == 700
