@@ -90,9 +90,9 @@ class GnNet:
         per_channel: apply the robust loss to each channel instead of the norm over all channels.
         iterations: largest number on each level, finest first; the last number holds for all coarser levels.
         damping: the Levenberg-Marquardt schedule, that of DSO's tracker or one for features trained by LM-Reloc's loss.
-        prior_level: the coarsest level at which alignment from the prior begins, 0 the finest map. From a prior that is
-            accurate to some pixels, such as another tracker's pose, coarse levels and poses along the road can only
-            lead away. None, or without a prior: the coarsest level, with starts along the road.
+        prior_level: the coarsest level at which alignment from the prior begins, 0 the finest map; for a prior that is
+            near, such as another tracker's pose, from which coarser levels may lead away. None, or without a prior:
+            the coarsest level, with starts along the road.
         first_levels: each pose but those of matches is aligned so many times, beginning once on each of the coarsest
             levels, or of those from ``prior_level`` on. Coarse levels see far, but may lead away from a pose that is
             near.

@@ -99,7 +99,7 @@ SETTINGS = (
     "gn-net-from-aliked-pnp.cache_size=200",
     "gn-net-from-aliked-pnp.start=aliked-pnp",
     "gn-net-from-aliked-pnp.start.cache_size=200",
-    "gn-net-from-aliked-pnp.prior_level=0",
+    "gn-net-from-aliked-pnp.prior_level=2",
     "gn-net-from-aliked-pnp.min_agreement=0",
 )
 """``dso-along`` starts from the poses of ``gn-net-from-prior``, and ``gn-net-one-start`` from the keyframe's alone. A
