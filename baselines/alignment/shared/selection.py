@@ -41,12 +41,13 @@ def choose_points(reference: Reference, levels: list[Level], count: int, rng: np
 
 
 def _choose_of_map(points: KeyframePoints, levels: list[Level], count: int, rng: np.random.Generator) -> KeyframePoints:
-    """At most ``count`` points of a sparse map, see :func:`choose_points`; of several at one pixel the last."""
+    """At most ``count`` points of a sparse map, see :func:`choose_points`; of several at one pixel the nearest."""
     if len(points) <= count:
         return points
     height, width = levels[0].map.shape[:2]
     u, v = np.rint(points.uv).astype(int).T
     inside = np.flatnonzero((u >= 0) & (v >= 0) & (u < width) & (v < height))
+    inside = inside[np.argsort(points.inverse_depth[inside], kind="stable")]
     at_pixel = np.full((height, width), -1)
     at_pixel[v[inside], u[inside]] = inside
     uv = select_pixels(levels, at_pixel >= 0, count, rng)

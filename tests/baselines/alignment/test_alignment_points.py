@@ -80,6 +80,18 @@ def test_of_a_scan_those_points_are_chosen_that_lie_where_the_gradient_is() -> N
     assert median_at(chosen) > 1.5 * median_at(scan)
 
 
+def test_of_several_points_of_a_scan_at_one_pixel_the_nearest_may_be_chosen() -> None:
+    grey, _ = render(np.eye(4))
+    v, u = (side.ravel().astype(float) for side in np.mgrid[10:60, 10:60])
+    twice = np.concatenate([np.stack([u, v], axis=-1)] * 2)
+    for first, second in ((0.5, 0.1), (0.1, 0.5)):
+        inverse_depth = np.repeat([first, second], len(u))
+        scan = KeyframePoints(twice, inverse_depth, np.full(2 * len(u), 0.01))
+        reference = Reference("twice", 0, to_image(grey), CAMERA, sparse_points=scan)
+        chosen = choose_points(reference, image_pyramid(reference.image, CAMERA), 30, np.random.default_rng(0))
+        assert np.all(chosen.inverse_depth == 0.5)
+
+
 def test_points_outside_the_image_and_without_gradient_are_chosen_where_there_are_no_others() -> None:
     rng = np.random.default_rng(4)
     scan = KeyframePoints(rng.uniform(-50, 300, (900, 2)), np.full(900, 0.2), np.full(900, 0.01))
