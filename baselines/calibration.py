@@ -1,8 +1,8 @@
 """Confidence as a probability: logistic regression on the evidence that an answer leaves.
 
 The constants are those that ``benchmarks/publish/calibration.py`` prints, fitted to the validation districts 51, 52 and
-53, those of GN-Net also to odd districts of edition 2026.1. A wrong answer counts eight times there, so that the
-confidences are lower estimates.
+53, those of GN-Net also to districts 1 to 6 of edition 2026.1, that of ``gn-net-pnp`` to 1 and 3. A wrong answer counts
+eight times there, so that the confidences are lower estimates.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ class Calibration:
         return 0.5 * (1.0 + math.tanh(0.5 * log_odds))
 
 
-GN_NET = Calibration(7.151, {"log_agreement": 2.2, "lead": 0.7272})
+GN_NET = Calibration(-1.864, {"log_agreement": 1.774, "lead": 0.7735, "precision": 1.557})
 GN_NET_PNP = Calibration(6.73, {"log_agreement": 2.783})
-GN_NET_FROM_PRIOR = Calibration(6.937, {"log_agreement": 2.32, "lead": 1.131})
-GN_NET_CONTRASTIVE = Calibration(6.353, {"log_agreement": 2.21, "lead": 1.279})
+GN_NET_FROM_PRIOR = Calibration(-1.786, {"log_agreement": 1.914, "lead": 0.7791, "precision": 1.581})
+GN_NET_CONTRASTIVE = Calibration(-0.2753, {"log_agreement": 1.951, "lead": 1.161, "precision": 1.053})
 LM_NET = Calibration(-4.709, {"agreement": 37.78})
 DSO = Calibration(-6.639, {"correlation": 18.77})
 DSO_MULTISTART = Calibration(-6.301, {"correlation": 18.18})

@@ -19,7 +19,7 @@ if [ -f "$recordings/weights/aliked-n16.pth" ]; then
   mkdir -p "$TORCH_HOME/hub/checkpoints"
   ln -sf "$recordings/weights/aliked-n16.pth" "$TORCH_HOME/hub/checkpoints/"
   learned=(-m aliked-pnp -m gn-net-from-aliked-pnp=gn-net-from-prior --set gn-net-from-aliked-pnp.start=aliked-pnp \
-    --set gn-net-from-aliked-pnp.prior_level=0 --set gn-net-from-aliked-pnp.min_agreement=0)
+    --set gn-net-from-aliked-pnp.prior_level=2 --set gn-net-from-aliked-pnp.min_agreement=0)
 fi
 
 for dataset in kitti_06 kitti_00 kitti_00_stereo fr1_xyz fr1_desk fr1_xyz_to_desk webcams frankfurt middlebury oxford town_demo; do

@@ -77,8 +77,9 @@ class GnNet:
     poses near the best of all these. Those of matches are accurate to some pixels and also begin on the finest level,
     so that no coarser one leads away from them.
     The landmarks of the keyframe are matched in the query. Their agreement is the share of them that are matched within
-    two pixels (of the finest map) of where the answer projects them. The confidence is the
-    probability that the answer is within 0.25 m and 2 degrees, from a calibration of the agreement.
+    two pixels (of the finest map) of where the answer projects them. The confidence is the probability that the answer
+    is within 0.25 m and 2 degrees, from a calibration of the agreement, of the lead over the best other pose, and of
+    the precision that the normal equations give the translation.
 
     Args:
         weights: a file of ``relocbench train``; by default the weights that come with the package.
@@ -346,6 +347,7 @@ class GnNet:
             "energy": float(found.energy),
             "misfit": float(found.misfit),
             "lead": float(found.lead),
+            "precision": found.precision,
             "points": found.points,
             "inlier_share": float(found.inlier_share),
             "levels": [outcome.level for outcome in found.outcomes],

@@ -5,12 +5,13 @@ most 14 m and 45 degrees apart (``--pairs``), and between its keyframes and imag
 (``--different``), where nothing can be answered and every answer is wrong. These are fitted to; a dataset's own pairs
 of different places (``build-dataset --elsewhere``), which lie in one district, test what came of it. ``--edition E``
 adds the pairs of the validation split of an edition (``build-dataset edition``) that is in the folder E: of the tiers
-medium, hard and extreme, odd districts to those that are fitted, and even ones as a report of each tier. Every method
-answers all pairs, however little speaks for its answer. On the districts of ``--fit`` a logistic regression, never
-falling in the evidence, predicts which answers are within 0.25 m and 2 degrees. Printed are its coefficients, to be
-written into ``baselines/calibration.py``; how many right and wrong answers each limit on the evidence would refuse;
-and, for the districts of ``--report``, how often answers of each confidence are right, how precise those of at least
-0.5 are, in all and of queries and keyframes of one drive, and how many pairs of different places have one.
+medium, hard and extreme, the first half of the districts to those that are fitted, and the others as a report of each
+tier. Every method answers all pairs, however little speaks for its answer. On the districts of ``--fit`` a logistic
+regression, never falling in the evidence, predicts which answers are within 0.25 m and 2 degrees. Printed are its
+coefficients, to be written into ``baselines/calibration.py``; how many right and wrong answers each limit on the
+evidence would refuse; and, for the districts of ``--report``, how often answers of each confidence are right, how
+precise those of at least 0.5 are, in all and of queries and keyframes of one drive, and how many pairs of different
+places have one.
 
 Datasets and answers are kept in ``--scratch``; when it is run again, only what is missing is made.
 
@@ -136,8 +137,9 @@ def main() -> None:
                 for seed in districts:
                     answers[role] += _answers(scratch, method, seed, neighbour(seed, districts), options)
             for tier in TIERS if options.edition else ():
-                for folder in datasets_of(options.edition / tier):
-                    role = "fit" if int(folder.name) % 2 else tier
+                folders = datasets_of(options.edition / tier)
+                for at, folder in enumerate(folders):
+                    role = "fit" if 2 * at < len(folders) else tier
                     answers.setdefault(role, []).extend(_of_district(scratch, method, folder))
             told[method] = _told(method, METHODS[method]().calibration, answers)
     print(json.dumps({"benchmark": "calibration", **told}))

@@ -1,6 +1,6 @@
 """Publish an edition: render its districts, ask the methods of ``tiers.py``, and print one page with their predictions.
 
-    python benchmarks/publish/edition_page.py --scratch S [--edition 2026.1] [--split validation] [--workers N]
+    python benchmarks/publish/edition_page.py --scratch S [--edition 2026.1] [--split test] [--tier T] [--workers N]
     python benchmarks/publish/edition_page.py --only-print [--datasets E]
 
 Districts and results are kept in ``--scratch``; when it is run again, only what is missing is made. An archive for each
@@ -31,6 +31,7 @@ from relocbench.datasets.importers.edition.dataset import Recipe, recipe
 from relocbench.errors import RelocbenchError
 from relocbench.evaluation.common.results import all_results
 from relocbench.metrics import CONFIDENT
+from relocbench.metrics.pose.tiers import TIERS
 from relocbench.metrics.statistics.intervals import MANY_ROADS
 
 _HEAD = """# Edition {edition}, split {split}
@@ -63,6 +64,7 @@ def main() -> None:
     parser.add_argument("--split", default="validation", choices=("validation", "test"))
     parser.add_argument("--out", type=Path, default=Path("leaderboard/edition"), help="folder of page and predictions")
     parser.add_argument("--scratch", type=Path, help="folder that keeps districts and results")
+    parser.add_argument("--tier", dest="tiers", action="append", choices=TIERS, help="only this; may be repeated")
     parser.add_argument("--districts", type=int, help="only the first districts, to try the whole line out")
     parser.add_argument("--workers", "-j", type=int, default=2)
     parser.add_argument("--only-print", action="store_true", help="render and ask nothing")
@@ -91,7 +93,7 @@ def make(edition: Recipe, archives: Path, options: argparse.Namespace) -> None:
     name, split = edition.edition, options.split
     datasets, results = options.scratch / f"{name}-{split}", options.scratch / "results"
     first = () if options.districts is None else ("--districts", options.districts)
-    for tier in edition.tiers:
+    for tier in options.tiers or edition.tiers:
         words = name, "--split", split, "--tier", tier, *first, "--out", datasets, "-j", options.workers, "-q"
         run("build-dataset", "edition", *words)
         tiers.evaluate(datasets / tier, results, options.workers)

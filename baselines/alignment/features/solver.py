@@ -46,6 +46,8 @@ APART, APART_RAD = 0.05, float(np.deg2rad(3.0))
 """share of the points' median depth; estimates of several starts that are farther from each other are at poses that
 exclude each other"""
 LARGEST_LEAD = 1.0
+SIGMAS_M = 1e-4, 1e2
+"""between which a standard deviation of the translation says something about an answer"""
 
 
 class FeatureProblem(NamedTuple):
@@ -133,6 +135,17 @@ class FeatureAlignment:
             return np.asarray(self.variance * np.linalg.inv(self.H), dtype=np.float64)
         except np.linalg.LinAlgError:
             return np.full((UNKNOWNS, UNKNOWNS), np.nan)
+
+    @property
+    def precision(self) -> float:
+        """The negative logarithm of the standard deviation (m) of the translation, over all three axes.
+
+        The standard deviation is that of :attr:`covariance`, taken to be in ``SIGMAS_M``; the largest of these where
+        the normal equations do not hold the translation.
+        """
+        variances = np.diag(self.covariance)[:3]
+        sigma = np.sqrt(np.sum(variances)) if np.all(variances >= 0) else np.inf
+        return -float(np.log(np.clip(sigma, *SIGMAS_M)))
 
 
 def align_features(
