@@ -1,9 +1,7 @@
 #!/usr/bin/env python3
 """Write the Markdown of a published board again from its CSV files, where the layout of pages or a metric is new.
 
-    tools/rewrite_board.py leaderboard [--take BOARD]
-
-With ``--take``, datasets of another board, which was evaluated later, take the place of those of the same name.
+    tools/rewrite_board.py leaderboard
 
 A board takes hours to evaluate; its tables hold every error and all that pages show. Before anything is
 written, every number of ``leaderboard.csv`` is computed again from ``errors.csv`` and compared to twelve digits (the
@@ -17,7 +15,6 @@ from __future__ import annotations
 import argparse
 import csv
 import math
-import shutil
 import sys
 import tarfile
 from collections import defaultdict
@@ -44,32 +41,13 @@ _COUNTS = ("answered", "match@1px", "match@3px", "start@1px", "start@3px")
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("board", type=Path, help="folder of leaderboard.csv")
-    parser.add_argument("--take", type=Path, metavar="BOARD", help="folder of a board whose datasets replace its own")
-    options = parser.parse_args()
-    folder: Path = options.board
-    sources = [folder, *([options.take] if options.take else [])]
-    taken = {row["dataset"] for row in _read(options.take / "leaderboard.csv")} if options.take else set()
-    entries, rows, header = [], [], []
-    for source in sources:
-        kept = [row for row in _read(source / "leaderboard.csv") if source != folder or row["dataset"] not in taken]
-        own = _entries(source, kept)
-        header, *of_source = _compare(make_board(own, metric=kept[0]["ranked_by"]), kept)
-        entries += own
-        rows += of_source
-    entries.sort(key=lambda entry: entry.record.name)
-    first = _read(folder / "leaderboard.csv")[0]
-    if options.take:
-        for name in ("errors.csv", "matching.csv", "truth.csv"):
-            _merge(folder / name, options.take / name, taken)
-        for name in taken:
-            shutil.rmtree(folder / "predictions" / name, ignore_errors=True)
-            shutil.copytree(options.take / "predictions" / name, folder / "predictions" / name)
-            for page in (folder / "sets").glob(f"{name}@*.md"):
-                page.unlink()
-        rows.sort(key=lambda row: row[header.index("dataset")])
-    if options.take or list(first) != header:
+    folder: Path = parser.parse_args().board
+    published = _read(folder / "leaderboard.csv")
+    board = make_board(_entries(folder, published), metric=published[0]["ranked_by"])
+    header, *rows = _compare(board, published)
+    if list(published[0]) != header:
         write_rows(folder / "leaderboard.csv", [header, *rows])
-    write_pages(make_board(entries, metric=first["ranked_by"]), folder)
+    write_pages(board, folder)
 
 
 def _entries(folder: Path, published: Rows) -> list[DatasetEntry]:
@@ -80,14 +58,6 @@ def _entries(folder: Path, published: Rows) -> list[DatasetEntry]:
     for row in published:
         by_dataset[row["dataset"]].append(row)
     return [_entry(datasets[name], rows, errors, matching, truth, runs) for name, rows in by_dataset.items()]
-
-
-def _merge(path: Path, later: Path, taken: set[str]) -> None:
-    """The rows of a table without those of some datasets, which another table has."""
-    rows = [row for row in _read(path) if row["dataset"] not in taken] + _read(later)
-    names = list(dict.fromkeys(name for row in reversed(rows) for name in row))
-    rows.sort(key=lambda row: row["dataset"])
-    write_rows(path, [names, *([row.get(name, "") for name in names] for row in rows)])
 
 
 def _read(path: Path) -> Rows:
