@@ -2,7 +2,8 @@
 
 Without recordings, pages are printed again from the errors that are published beside them. With recordings, the
 small datasets are built again from their recipes, every error is computed anew from the published predictions, and the
-pages are printed from these. With ``--render`` the same is done for editions, whose districts take hours to render.
+pages are printed from these. With ``--render`` the same is done for the full pipeline, and for editions, whose
+districts take hours to render.
 
     python tools/recompute.py [--recordings FOLDER] [--render] [--scratch FOLDER] [--leaderboard leaderboard]
 
@@ -48,7 +49,7 @@ class Finding(NamedTuple):
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--recordings", type=Path, help="folder, as tools/publish_leaderboard.sh says")
-    parser.add_argument("--render", action="store_true", help="render the districts of published editions (hours)")
+    parser.add_argument("--render", action="store_true", help="render districts, those of editions for hours")
     parser.add_argument("--scratch", type=Path, help="folder for datasets and pages; by default a temporary one")
     parser.add_argument("--leaderboard", type=Path, default=ROOT / "leaderboard")
     options = parser.parse_args()
@@ -70,6 +71,7 @@ def findings(leaderboard: Path, scratch: Path, recordings: Path | None, render: 
         "real/real.md": lambda: real(leaderboard, scratch),
         "real/michigan.md": lambda: shifts(leaderboard, scratch, recordings),
         "weather/cross_weather.md": lambda: weather(leaderboard, scratch),
+        "relocalization/relocalization.md": lambda: relocalization(leaderboard, scratch, render),
     }
     for page in published.PAGES:
         name = page.path.removeprefix("leaderboard/")
@@ -93,6 +95,22 @@ def weather(leaderboard: Path, scratch: Path) -> Iterator[Finding]:
     if not lacking:
         outcome = "not recomputed: the districts of a test split are rendered by `make leaderboard-weather` alone"
     yield Finding(page, _PREDICTIONS, outcome)
+
+
+def relocalization(leaderboard: Path, scratch: Path, render: bool, *options: object) -> Iterator[Finding]:
+    """The pages of the full pipeline, from predictions and the districts, rendered with ``options``."""
+    archive = leaderboard / "relocalization" / "predictions.tar.xz"
+    if not archive.is_file() or not render:
+        why = "not recomputed: no --render to render its district"
+        if not archive.is_file():
+            why = "cannot be recomputed: no predictions published; `make leaderboard-relocalization` evaluates anew"
+        yield Finding("relocalization/relocalization.md", _PREDICTIONS, why)
+        return
+    words = ("--published", archive, "--scratch", scratch / "pipelines", "--out", scratch / "relocalization", *options)
+    _run("benchmarks/publish/relocalization.py", *words)
+    for path in sorted((leaderboard / "relocalization").glob("*.[mc]*")):
+        page = f"relocalization/{path.name}"
+        yield compared(page, _PREDICTIONS, path, scratch / page)
 
 
 def edition(page: Path, scratch: Path, render: bool) -> Iterator[Finding]:

@@ -6,10 +6,12 @@ retriever with every tracker: retrievers that need no training, the oracle that 
 random order. ``relocbench leaderboard`` writes the page. Printed are means over all tasks, and by how much the pipeline
 with the oracle is ahead of that with each retriever, which is what better retrieval could gain for the tracker.
 
-Datasets and results are kept in ``--scratch``; when it is run again, only what is missing is made.
+Datasets and results are kept in ``--scratch``; when it is run again, only what is missing is made. Beside the page goes
+``predictions.tar.xz``, all rankings and poses. With ``--published`` such an archive is read in place of asking anybody,
+and every row is computed anew by the truth of the rendered districts.
 
     python benchmarks/publish/relocalization.py --scratch S [--out leaderboard/relocalization] [--workers N]
-        [-r RETRIEVER ...] [-m TRACKER ...]
+        [-r RETRIEVER ...] [-m TRACKER ...] [--published leaderboard/relocalization/predictions.tar.xz]
 
 The last line is JSON.
 """
@@ -27,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from archives import pack_all, unpack_all
 
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE
 from relocbench.evaluation.relocalization.score import FAILURES, RANKING, per_query
@@ -45,11 +48,17 @@ def main() -> None:
     options = _options()
     with tempfile.TemporaryDirectory() as temporary:
         scratch = options.scratch or Path(temporary)
+        results, page = scratch / "results", options.out or scratch / "page"
+        if options.published:
+            unpack_all(options.published, results)
         for seed in options.seeds.split(","):
-            _evaluate(_build(scratch, seed, options), scratch / "results", options)
-        page = options.out or scratch / "page"
-        _run("leaderboard", scratch / "results", "--out", page, "-q")
-        board = load_board(RELOCALIZATION, scratch / "results", split=options.split)
+            dataset = _build(scratch, seed, options)
+            if not options.published:
+                _evaluate(dataset, results, options)
+        _run("leaderboard", results, "--dataset", scratch, "--out", page, "-q")
+        if not options.published:
+            pack_all(results, page / "predictions.tar.xz")
+        board = load_board(RELOCALIZATION, results, split=options.split)
         assert board is not None
         rows = _rows(page / "relocalization.csv")
         ahead = _ahead(board)
@@ -63,7 +72,10 @@ def main() -> None:
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scratch", type=Path, help="folder that keeps datasets and results; default: a temporary one")
-    parser.add_argument("--out", type=Path, help="folder for relocalization.md and relocalization.csv")
+    parser.add_argument("--out", type=Path, help="folder for pages and predictions.tar.xz; default: SCRATCH/page")
+    parser.add_argument(
+        "--published", type=Path, help="predictions.tar.xz of an earlier run, in place of asking anybody"
+    )
     parser.add_argument("--split", default="test")
     parser.add_argument("--seeds", default="100", help="seeds of the districts")
     parser.add_argument(

@@ -15,6 +15,8 @@ from small_dataset import make_small_dataset
 sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
 import archives
 
+SMALL_DISTRICT = ("--steps", 3, "--size", "64x64", "--split", "validation", "-j", 1)
+
 
 @pytest.fixture(scope="module")
 def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -61,6 +63,35 @@ def test_predictions_that_do_not_give_the_published_errors_are_told(published: P
 def test_every_published_page_is_told_of() -> None:
     handled = {
         f"leaderboard/{name}"
-        for name in ("leaderboard.md", "real/real.md", "real/michigan.md", "weather/cross_weather.md")
+        for name in (
+            "leaderboard.md",
+            "real/real.md",
+            "real/michigan.md",
+            "relocalization/relocalization.md",
+            "weather/cross_weather.md",
+        )
     }
     assert handled <= {page.path for page in PAGES}
+
+
+@pytest.mark.thorough
+def test_the_pages_of_the_full_pipeline_follow_from_its_predictions(tmp_path: Path) -> None:
+    words = ("-r", "oracle", "-r", "random", "-m", "identity", "--scratch", tmp_path / "a")
+    recompute._run(
+        "benchmarks/publish/relocalization.py", *SMALL_DISTRICT, *words, "--out", tmp_path / "relocalization"
+    )
+    found = list(recompute.relocalization(tmp_path, tmp_path / "b", True, *SMALL_DISTRICT))
+    assert {one.page: one.outcome for one in found} == {
+        f"relocalization/{name}": "byte-equal"
+        for name in ("relocalization.csv", "relocalization.md", "retrieval.csv", "retrieval.md")
+    }
+
+
+def test_the_full_pipeline_is_not_recomputed_without_predictions_or_rendering(tmp_path: Path) -> None:
+    (lacking,) = recompute.relocalization(tmp_path, tmp_path, True)
+    assert lacking.outcome.startswith("cannot be recomputed")
+    archive = tmp_path / "relocalization" / "predictions.tar.xz"
+    archive.parent.mkdir()
+    archive.touch()
+    (untried,) = recompute.relocalization(tmp_path, tmp_path, False)
+    assert untried.outcome.startswith("not recomputed")
