@@ -9,8 +9,8 @@ the page is printed from these archives alone. ``--only-print`` makes nothing el
 that was rendered again, every error is first computed anew from the predictions and the truth.
 
 The page has the share of pairs that each method finds on each tier, with its interval; the differences that answer a
-question, on the same pairs and with one error rate for all of them; how often answers are right; and the digests by
-which to see that the same was asked.
+question, on the same pairs and with one error rate for all of them; the shares by weather; how often answers are right;
+and the digests by which to see that the same was asked.
 """
 
 from __future__ import annotations
@@ -46,6 +46,8 @@ _OF = {
     "validation": "Methods were developed on districts of this split, so that its numbers say how they were tuned.",
     "test": "The [ledger](../LEDGER.md) says when each method was asked.",
 }
+WEATHERS = ("Rain", "Snow", "Night", "Fog")
+"""conditions that a column shows by itself"""
 _AGAIN = """
 ## Print it again
 
@@ -126,6 +128,7 @@ def page(edition: Recipe, split: str, results: Path, datasets: Path | None = Non
             "",
             *_notes(edition, split, columns),
             *difference_table(differences(columns, METRICS[:1]), side_by_side=True),
+            *by_weather(columns),
             *_sureness(columns),
             *_questions(edition, split, columns, asked),
             _AGAIN.format(again=again, commit=commit()),
@@ -142,6 +145,24 @@ def _notes(edition: Recipe, split: str, columns: Sequence[Group]) -> Iterator[st
     else:
         yield "Intervals speak of other districts of the same recipe as well. Districts count alike."
     yield _OF[split]
+
+
+def by_weather(columns: Sequence[Group]) -> Iterator[str]:
+    """What is found on each tier of the pairs with a condition at either end; nothing where no pair has one."""
+    heading = [
+        "\n## By weather\n",
+        "Of the pairs with a condition of the rendered town at either end; those of the last column have none of them.",
+        "Some conditions were drawn in few districts.",
+    ]
+    for group in columns:
+        seen = [set(name.replace("__", "-").split("-")) & set(WEATHERS) for name in group.rows["pair_set"]]
+        found = [Group(name, group.rows[[name in each for each in seen]]) for name in WEATHERS]
+        found.append(Group("none of these", group.rows[[not each for each in seen]]))
+        if any(seen):
+            yield from heading
+            yield f"\n### {group.name}\n"
+            yield from tiers.table([each for each in found if len(each.rows)])
+            heading = []
 
 
 def _sureness(columns: Sequence[Group]) -> Iterator[str]:

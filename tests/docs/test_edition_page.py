@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import pandas as pd
 import pytest
 import recompute
 from command_line import relocbench
@@ -22,6 +23,7 @@ sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
 import archives
 import edition_page
 import tiers
+from groups import METRICS, Group
 
 NAME = "2026.1-validation"
 
@@ -63,6 +65,26 @@ def test_the_page_shows_each_method_on_each_tier_and_what_was_asked(published: P
     assert cells["true-matches"].startswith("100.0")
     assert "this is no result of the edition" in text
     assert questions_of({f"{n:02d}": d.content_id for n, d in enumerate(districts, 1)}) in text
+
+
+def test_a_pair_counts_for_the_weather_at_either_end() -> None:
+    """A night's pair with rain counts for both; a soft rain is not the condition Rain."""
+    sets = {
+        "t-Rain-0__t-Night-0__front": 1.0,
+        "t-Night-0__t-Sunny-0__front": 0.0,
+        "t-Sunny-0__t-SoftRainNoon-0__front": 1.0,
+    }
+    rows = [
+        {"method": "m", "district": "d", "pair_set": name, "step": step, **dict.fromkeys(METRICS, right)}
+        for name, right in sets.items()
+        for step in range(4)
+    ]
+    lines = list(edition_page.by_weather([Group("hard", pd.DataFrame(rows))]))
+    assert "| method | Rain | Night | none of these |" in lines
+    assert "| *pairs* | *4* | *8* | *4* |" in lines
+    cells = next(line for line in lines if line.startswith("| m |")).strip("| ").split(" | ")
+    assert [float(cell.split()[0]) for cell in cells[1:]] == [100.0, 50.0, 100.0]
+    assert list(edition_page.by_weather([Group("hard", pd.DataFrame([{**rows[-1], "pair_set": "a__b__front"}]))])) == []
 
 
 def test_the_page_is_printed_again_from_errors_and_from_predictions(published: Path, tmp_path: Path) -> None:
