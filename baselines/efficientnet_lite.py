@@ -17,7 +17,7 @@ from typing import NamedTuple, cast
 import torch
 from torch import Tensor, nn
 
-from baselines.initialisation import draw_weights, folded
+from baselines.initialisation import draw_weights, folded, leave_undrawn
 from baselines.published_weights import fill, read_weights
 from relocbench.errors import MethodError
 
@@ -79,7 +79,7 @@ class EfficientNetLite0(nn.Module):
                     blocks.append(_Block(inside, shape, stride))
                     inside, stride = shape.channels, 1
                 self.stages.append(nn.Sequential(*blocks))
-        self.to_empty(device="cpu")
+        leave_undrawn(self)
         for module in self.modules():
             if isinstance(module, nn.BatchNorm2d):
                 module.reset_parameters()

@@ -31,6 +31,18 @@ def convolution(inside: int, outside: int, size: int, *, groups: int = 1, bias: 
     return _UndrawnConvolution(inside, outside, size, padding=size // 2, groups=groups, bias=bias)
 
 
+def leave_undrawn(module: nn.Module) -> None:
+    """Give a module that was made below ``torch.device("meta")`` memory on the CPU, with uninitialised numbers.
+
+    ``to_empty`` does so as well, after a second of imports.
+    """
+    for each in module.modules():
+        for name, value in list(each.named_parameters(recurse=False)):
+            setattr(each, name, nn.Parameter(torch.empty(value.shape, dtype=value.dtype)))
+        for name, value in list(each.named_buffers(recurse=False)):
+            setattr(each, name, torch.empty(value.shape, dtype=value.dtype))
+
+
 def draw_weights(module: nn.Module, generator: torch.Generator, fan: Literal["fan_in", "fan_out"]) -> None:
     """Initialise all convolutions as He et al., 2015, batch normalisations as the identity, and biases as zero."""
     for each in module.modules():

@@ -44,7 +44,8 @@ sed -n '/^uv==/,/[^\\]$/p' tools/hashes.txt |
 echo "set-up: installing pinned packages (torch is large; this may take minutes)"
 export VIRTUAL_ENV="$PWD/$venv"
 case "$venv" in /*) VIRTUAL_ENV="$venv" ;; esac
-"$venv/bin/uv" pip install --quiet --require-hashes -r tools/hashes.txt
+# Compiled once here: a method's process may not write beside the packages, and would compile what it imports each time.
+"$venv/bin/uv" pip install --quiet --compile-bytecode --require-hashes -r tools/hashes.txt
 "$venv/bin/uv" pip install --quiet --no-deps --no-build-isolation -e .
 OMP_NUM_THREADS=1 "$venv/bin/python" tools/compile_kernels.py
 touch "$venv/.ready"

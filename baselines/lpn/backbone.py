@@ -17,7 +17,7 @@ from torchvision.models import ResNet, resnet18, resnet50  # type: ignore[import
 from torchvision.models.resnet import Bottleneck  # type: ignore[import-untyped]
 
 from baselines.efficientnet_lite import DEVIATION, MEAN, STAGES, EfficientNetLite0
-from baselines.initialisation import draw_weights
+from baselines.initialisation import draw_weights, leave_undrawn
 from baselines.lpn.options import BackboneName
 from baselines.options import OptionError
 
@@ -108,7 +108,7 @@ class ResNetBackbone(Backbone):
         if last_stride == 1:
             _keep_size(net.layer4)
         self.channels = {"layer3": net.fc.in_features // 2, "layer4": net.fc.in_features}
-        self.to_empty(device="cpu")
+        leave_undrawn(self)
         draw_weights(self, generator, "fan_out")
 
     @property
