@@ -3,10 +3,11 @@
     python benchmarks/publish/edition_page.py --scratch S [--edition 2026.1] [--split test] [--tier T] [--workers N]
     python benchmarks/publish/edition_page.py --only-print [--datasets E]
 
-Districts and results are kept in ``--scratch``; when it is run again, only what is missing is made. An archive for each
-method on each tier, with all errors and predictions, goes to ``OUT/predictions/EDITION-SPLIT/TIER/METHOD.tar.xz``, and
-the page is printed from these archives alone. ``--only-print`` makes nothing else. With ``--datasets``, an edition
-that was rendered again, every error is first computed anew from the predictions and the truth.
+Districts and results are kept in ``--scratch``; when it is run again, only what is missing is made, and what was
+published before is not asked again. An archive for each method on each tier, with all errors and predictions, goes to
+``OUT/predictions/EDITION-SPLIT/TIER/METHOD.tar.xz``, and the page is printed from these archives alone. ``--only-
+print`` makes nothing else. With ``--datasets``, an edition that was rendered again, every error is first computed anew
+from the predictions and the truth.
 
 The page has the share of pairs that each method finds on each tier, with its interval; the differences that answer a
 question, on the same pairs and with one error rate for all of them; the shares by weather; how often answers are right;
@@ -91,9 +92,14 @@ def main() -> None:
 
 
 def make(edition: Recipe, archives: Path, options: argparse.Namespace) -> None:
-    """Render the districts, ask the methods, and pack what they answered; what is there already is kept."""
+    """Render the districts, ask the methods, and pack what they answered; what is there already is kept.
+
+    Without results, those that are published are there: an edition may be asked part by part, on several machines.
+    """
     name, split = edition.edition, options.split
     datasets, results = options.scratch / f"{name}-{split}", options.scratch / "results"
+    if archives.is_dir() and not results.exists():
+        unpack(archives, results)
     first = () if options.districts is None else ("--districts", options.districts)
     for tier in options.tiers or edition.tiers:
         words = name, "--split", split, "--tier", tier, *first, "--out", datasets, "-j", options.workers, "-q"

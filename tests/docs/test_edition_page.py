@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from argparse import Namespace
 from pathlib import Path
 
 import pandas as pd
@@ -65,6 +66,19 @@ def test_the_page_shows_each_method_on_each_tier_and_what_was_asked(published: P
     assert cells["true-matches"].startswith("100.0")
     assert "this is no result of the edition" in text
     assert questions_of({f"{n:02d}": d.content_id for n, d in enumerate(districts, 1)}) in text
+
+
+def test_what_is_published_is_not_asked_again(published: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The districts of a new scratch folder are asked with the published answers in its results."""
+    asked = []
+    monkeypatch.setattr(edition_page, "run", lambda *words: None)
+    monkeypatch.setattr(tiers, "evaluate", lambda folder, results, workers: asked.append(folder))
+    archives_of = published / "board" / "edition" / "predictions" / NAME
+    options = Namespace(scratch=tmp_path, split="validation", tiers=["easy"], districts=None, workers=1)
+    edition_page.make(recipe("2026.1"), archives_of, options)
+    assert asked == [tmp_path / NAME / "easy"]
+    for path in (published / "results").rglob("*.txt"):
+        assert (tmp_path / "results" / path.relative_to(published / "results")).read_bytes() == path.read_bytes()
 
 
 def test_a_pair_counts_for_the_weather_at_either_end() -> None:
