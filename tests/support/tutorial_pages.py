@@ -34,7 +34,7 @@ _SHOWN_ONLY = {"toml", ""}
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?![\w])")
 _HASH = re.compile(r"\b[0-9a-f]{12,64}\b")
 _SECONDS = re.compile(r"\b\d+(?:\.\d+)? (?:s|ms)\b")
-_NEAR = 0.22
+_NEAR, _NEAR_ERROR = 0.22, 0.5
 
 
 @dataclass(frozen=True)
@@ -122,9 +122,14 @@ def _same(wanted: str, got: str) -> bool:
 
 
 def _tolerance(number: str) -> float:
-    """How far another processor's number may be off: some fifth, or two of the last digit; whole numbers are counts."""
+    """How far another processor's number may be off; whole numbers are counts.
+
+    A share some fifth, and a half what has three decimals, errors in metres and degrees: the median of the few pairs of
+    a page moves from one of them to the next. At least two of the last digit.
+    """
     decimals = number.partition(".")[2]
-    return max(_NEAR * abs(float(number)), 2 * 10.0 ** -len(decimals)) if decimals else 0.0
+    near = _NEAR_ERROR if len(decimals) == 3 else _NEAR
+    return max(near * abs(float(number)), 2 * 10.0 ** -len(decimals)) if decimals else 0.0
 
 
 def _is_row(line: str) -> bool:

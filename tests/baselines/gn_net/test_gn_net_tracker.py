@@ -332,8 +332,8 @@ def test_an_answer_that_another_pose_explains_far_better_is_a_stated_failure(wei
     beside = make_transform(so3_exp([0.0, 0.05, 0.0]), np.zeros(3)) @ right
     agreement = matched.agreement(right)
     assert agreement > 3 * max(matched.agreement(beside), 0.01)
-    assert tracker._answer(right, matched, {"lead": 1.0}, [beside, right]).answered
-    refused = replace(tracker, min_agreement=0.0)._answer(beside, matched, {"lead": 1.0}, [right])
+    assert tracker._answer(right, matched, {"lead": 1.0, "precision": 5.0}, [beside, right]).answered
+    refused = replace(tracker, min_agreement=0.0)._answer(beside, matched, {"lead": 1.0, "precision": 5.0}, [right])
     assert refused.message.endswith(
         f" of {len(reference.landmarks)} landmarks agree with the pose, {agreement:.1%} with another one"
     )
