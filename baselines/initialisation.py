@@ -37,10 +37,10 @@ def leave_undrawn(module: nn.Module) -> None:
     ``to_empty`` does so as well, after a second of imports.
     """
     for each in module.modules():
-        for name, value in list(each.named_parameters(recurse=False)):
-            setattr(each, name, nn.Parameter(torch.empty(value.shape, dtype=value.dtype)))
-        for name, value in list(each.named_buffers(recurse=False)):
-            setattr(each, name, torch.empty(value.shape, dtype=value.dtype))
+        for name, weight in list(each.named_parameters(recurse=False)):
+            setattr(each, name, nn.Parameter(torch.empty(weight.shape, dtype=weight.dtype)))
+        for name, buffer in list(each.named_buffers(recurse=False)):
+            setattr(each, name, torch.empty(buffer.shape, dtype=buffer.dtype))
 
 
 def draw_weights(module: nn.Module, generator: torch.Generator, fan: Literal["fan_in", "fan_out"]) -> None:
