@@ -99,16 +99,18 @@ def weather(leaderboard: Path, scratch: Path) -> Iterator[Finding]:
 
 def relocalization(leaderboard: Path, scratch: Path, render: bool, *options: object) -> Iterator[Finding]:
     """The pages of the full pipeline, from predictions and the districts, rendered with ``options``."""
-    archive = leaderboard / "relocalization" / "predictions.tar.xz"
-    if not archive.is_file() or not render:
-        why = "not recomputed: no --render to render its district"
-        if not archive.is_file():
-            why = "cannot be recomputed: no predictions published; `make leaderboard-relocalization` evaluates anew"
-        yield Finding("relocalization/relocalization.md", _PREDICTIONS, why)
+    folder = leaderboard / "relocalization"
+    archive, page = folder / "predictions.tar.xz", "relocalization/relocalization.md"
+    if not archive.is_file():
+        again = "`make leaderboard-relocalization` evaluates anew"
+        yield Finding(page, _PREDICTIONS, f"cannot be recomputed: no predictions published; {again}")
+        return
+    if not render:
+        yield Finding(page, _PREDICTIONS, "not recomputed: no --render to render its district")
         return
     words = ("--published", archive, "--scratch", scratch / "pipelines", "--out", scratch / "relocalization", *options)
     _run("benchmarks/publish/relocalization.py", *words)
-    for path in sorted((leaderboard / "relocalization").glob("*.[mc]*")):
+    for path in sorted({*folder.glob("*.md"), *folder.glob("*.csv")}):
         page = f"relocalization/{path.name}"
         yield compared(page, _PREDICTIONS, path, scratch / page)
 

@@ -29,14 +29,11 @@ def pack(results: Path, dataset: str, label: str, out: Path) -> None:
     if not folders or len(set(names)) < len(names):
         found = ", ".join(folder.name for folder in folders) or "none"
         raise ValueError(f"{results}: expected one folder with results of {label} for each {dataset}, found {found}")
-    _write(
-        [path for folder in folders for path in (folder / "dataset.yaml", *sorted((folder / label).iterdir()))],
-        results,
-        out,
-    )
+    files = [path for folder in folders for path in (folder / "dataset.yaml", *sorted((folder / label).iterdir()))]
+    _write(files, results, out)
 
 
-def pack_all(results: Path, out: Path) -> None:
+def pack_folder(results: Path, out: Path) -> None:
     """Pack everything below a results folder into one archive; the same results give the same bytes."""
     _write(sorted(path for path in results.rglob("*") if path.is_file()), results, out)
 
@@ -45,7 +42,9 @@ def _write(files: Iterable[Path], results: Path, out: Path) -> None:
     out.parent.mkdir(parents=True, exist_ok=True)
     part = out.with_suffix(".part")
     with lzma.open(part, "wb", preset=9) as stream, tarfile.open(fileobj=stream, mode="w") as archive:
-        for path in (path for path in files if path.suffix in SUFFIXES):
+        for path in files:
+            if path.suffix not in SUFFIXES:
+                continue
             entry = tarfile.TarInfo(path.relative_to(results).as_posix())
             entry.size = path.stat().st_size
             with path.open("rb") as content:
@@ -59,14 +58,17 @@ def unpack(archives: Path, to: Path) -> Path:
     if not found:
         sys.exit(f"{archives}: holds no archive FOLDER/METHOD.tar.xz of results")
     for path in found:
-        unpack_all(path, to)
+        extract(path, to)
     return to
 
 
-def unpack_all(path: Path, to: Path) -> None:
-    """The content of one archive, in the folder ``to``."""
-    with tarfile.open(path) as archive:
-        archive.extractall(to, filter="data")
+def extract(path: Path, to: Path) -> None:
+    """The content of one archive, in the folder ``to``; exits with its name where it is damaged."""
+    try:
+        with tarfile.open(path) as archive:
+            archive.extractall(to, filter="data")
+    except (OSError, EOFError, lzma.LZMAError, tarfile.TarError) as bad:
+        sys.exit(f"{path}: expected a whole archive of results: {bad}")
 
 
 def without_predictions(archives: Path) -> list[Path]:

@@ -27,7 +27,8 @@ import tiers
 from archives import pack, unpack
 from groups import FLOORS, METRICS, Group, commit, difference_table, differences, run
 
-from relocbench.datasets.core.edition_folder import questions_of
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.edition_folder import datasets_of, questions_of
 from relocbench.datasets.importers.edition.dataset import Recipe, recipe
 from relocbench.errors import RelocbenchError
 from relocbench.evaluation.common.results import all_results
@@ -94,17 +95,23 @@ def main() -> None:
 def make(edition: Recipe, archives: Path, options: argparse.Namespace) -> None:
     """Render the districts, ask the methods, and pack what they answered; what is there already is kept.
 
-    Without results, those that are published are there: an edition may be asked part by part, on several machines.
+    Districts with published answers are not asked again: an edition may be asked part by part, on several machines,
+    whose pixels differ by a grey level.
     """
     name, split = edition.edition, options.split
     datasets, results = options.scratch / f"{name}-{split}", options.scratch / "results"
-    if archives.is_dir() and not results.exists():
-        unpack(archives, results)
     first = () if options.districts is None else ("--districts", options.districts)
+    published = set()
+    if archives.is_dir():
+        with tempfile.TemporaryDirectory() as temporary:
+            published = {folder.record.question for folder in all_results(unpack(archives, Path(temporary)))}
+        unpack(archives, results)
     for tier in options.tiers or edition.tiers:
         words = name, "--split", split, "--tier", tier, *first, "--out", datasets, "-j", options.workers, "-q"
         run("build-dataset", "edition", *words)
-        tiers.evaluate(datasets / tier, results, options.workers)
+        for district in datasets_of(datasets / tier):
+            if Dataset(district).content_id not in published:
+                tiers.evaluate(district, results, options.workers)
         pack_tier(results, name, split, tier, archives)
 
 
@@ -192,7 +199,10 @@ def _questions(edition: Recipe, split: str, columns: Sequence[Group], asked: dic
     """By which digests to see that the same was asked."""
     yield "\n## What was asked\n"
     yield "Who builds the edition and gets the same digests is asked the same"
-    yield "([how to see it](../../docs/editions.md#were-two-people-asked-the-same)).\n"
+    yield "([how to see it](../../docs/editions.md#were-two-people-asked-the-same))."
+    if any(group.districts < edition.districts for group in columns):
+        yield "Of a tier of which not all districts were asked it is the digest of those, which no whole edition has."
+    yield ""
     yield "| tier | districts | pairs | digest of the questions |"
     yield "|---|---:|---:|---|"
     for group in columns:

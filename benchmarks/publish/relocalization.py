@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from archives import pack_all, unpack_all
+from archives import extract, pack_folder
 
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE
 from relocbench.evaluation.relocalization.score import FAILURES, RANKING, per_query
@@ -50,14 +50,14 @@ def main() -> None:
         scratch = options.scratch or Path(temporary)
         results, page = scratch / "results", options.out or scratch / "page"
         if options.published:
-            unpack_all(options.published, results)
+            extract(options.published, results)
         for seed in options.seeds.split(","):
             dataset = _build(scratch, seed, options)
             if not options.published:
                 _evaluate(dataset, results, options)
         _run("leaderboard", results, "--dataset", scratch, "--out", page, "-q")
         if not options.published:
-            pack_all(results, page / "predictions.tar.xz")
+            pack_folder(results, page / "predictions.tar.xz")
         board = load_board(RELOCALIZATION, results, split=options.split)
         assert board is not None
         rows = _rows(page / "relocalization.csv")

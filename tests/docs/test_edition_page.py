@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from argparse import Namespace
 from pathlib import Path
@@ -65,20 +66,37 @@ def test_the_page_shows_each_method_on_each_tier_and_what_was_asked(published: P
     assert (cells["method"], cells["*pairs*"], cells["*districts*"]) == ("easy", f"*{pairs}*", "*2*")
     assert cells["true-matches"].startswith("100.0")
     assert "this is no result of the edition" in text
+    assert "which no whole edition has" in text
     assert questions_of({f"{n:02d}": d.content_id for n, d in enumerate(districts, 1)}) in text
 
 
-def test_what_is_published_is_not_asked_again(published: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The districts of a new scratch folder are asked with the published answers in its results."""
+def test_only_districts_that_are_not_published_are_asked(
+    published: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On another machine, whose pixels may differ, the published answers stand beside those to the other districts."""
+    easy = tmp_path / "scratch" / NAME / "easy"
+    shutil.copytree(published / "districts", easy.parent)
+    (easy / "02").rename(tmp_path / "other")
+    make_small_dataset(easy / "02", name=f"relocbench-{NAME}-easy-02", seed=3, within=False, correspondences=50)
     asked = []
     monkeypatch.setattr(edition_page, "run", lambda *words: None)
+    monkeypatch.setattr(edition_page, "pack_tier", lambda *words: None)
     monkeypatch.setattr(tiers, "evaluate", lambda folder, results, workers: asked.append(folder))
-    archives_of = published / "board" / "edition" / "predictions" / NAME
-    options = Namespace(scratch=tmp_path, split="validation", tiers=["easy"], districts=None, workers=1)
-    edition_page.make(recipe("2026.1"), archives_of, options)
-    assert asked == [tmp_path / NAME / "easy"]
+    options = Namespace(scratch=tmp_path / "scratch", split="validation", tiers=["easy"], districts=None, workers=1)
+    edition_page.make(recipe("2026.1"), published / "board" / "edition" / "predictions" / NAME, options)
+    assert asked == [easy / "02"]
     for path in (published / "results").rglob("*.txt"):
-        assert (tmp_path / "results" / path.relative_to(published / "results")).read_bytes() == path.read_bytes()
+        restored = tmp_path / "scratch" / "results" / path.relative_to(published / "results")
+        assert restored.read_bytes() == path.read_bytes()
+
+
+def test_a_damaged_archive_is_named(published: Path, tmp_path: Path) -> None:
+    whole = next((published / "board" / "edition" / "predictions").rglob("orb-pnp.tar.xz")).read_bytes()
+    damaged = tmp_path / "easy" / "orb-pnp.tar.xz"
+    damaged.parent.mkdir()
+    damaged.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(SystemExit, match=r"orb-pnp\.tar\.xz: expected a whole archive"):
+        archives.unpack(tmp_path, tmp_path / "results")
 
 
 def test_a_pair_counts_for_the_weather_at_either_end() -> None:

@@ -48,6 +48,14 @@ def assert_as_shown(page: Path, printed: list[list[str]]) -> None:
         assert not missing, f"{page.name}:{step.block.line} shows\n{missing[0]}\nbut printed\n" + "\n".join(lines)
 
 
+def test_rows_of_a_table_may_be_in_another_order_and_other_lines_may_not() -> None:
+    shown = ("┏━━━┓", "│ a │ 75.0 │", "│ b │ 80.0 │", "└━━━┘", "results: here")
+    frame, a, b, *rest = shown
+    assert tutorial_pages.missing_lines(shown, [frame, b, a, *rest]) == []
+    assert tutorial_pages.missing_lines(shown, [frame, a, "│ c │ 80.0 │", *rest])[0] == b
+    assert tutorial_pages.missing_lines((rest[1], a), [a, rest[1]]) == [a]
+
+
 def test_every_tutorial_is_run_and_listed() -> None:
     pages = {path.stem for path in TUTORIALS.glob("*.md")} - {"index"}
     assert pages == {FIRST.stem, *ON_THE_STREET, *OWN_DATA}

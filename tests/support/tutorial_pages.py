@@ -112,10 +112,11 @@ def missing_lines(shown: tuple[str, ...], printed: list[str]) -> list[str]:
         while in_table and _is_row(line) and first > 0 and _is_row(printed[first - 1]):
             first -= 1
         in_table = _is_row(line)
-        rest = range(first, len(printed))
-        found = [i for i in rest if _same(wanted, _plain(printed[i], seconds_last=seconds_last))][:1]
-        missing += [] if found else [line]
-        after = max(after, found[0] + 1) if found else len(printed)
+        same = (i for i in range(first, len(printed)) if _same(wanted, _plain(printed[i], seconds_last=seconds_last)))
+        found = next(same, None)
+        if found is None:
+            missing.append(line)
+        after = len(printed) if found is None else max(after, found + 1)
     return missing
 
 
