@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Literal, Self, TypeVar
 
@@ -154,7 +155,7 @@ def run_units(
 
 def run_limited(
     function: Callable[[Unit], Result],
-    units: Iterable[Unit],
+    series: Sequence[Iterable[Unit]],
     run: Run,
     *,
     on_loss: Callable[[Unit, Loss], Result],
@@ -164,7 +165,8 @@ def run_limited(
     ``function`` marks such calls with :func:`step`.
 
     Args:
-        units: consumed one by one, as workers become free.
+        series: units, consumed one by one as workers become free. A worker stays with a series while there are units
+            in it, and begins another one before it helps: what the first unit has started may serve the next.
         run: with no worker, this process does the work, without limits, for use with a debugger.
         on_loss: returns the result of a unit whose worker died or was ended.
 
@@ -177,13 +179,14 @@ def run_limited(
         from relocbench.execution.cluster import run_on_cluster
 
         died = Loss(None, "death", "lost by two workers of the cluster", workers=2)
-        yield from run_on_cluster(function, list(units), run.scheduler, lambda unit: on_loss(unit, died))
+        units = list(chain.from_iterable(series))
+        yield from run_on_cluster(function, units, run.scheduler, lambda unit: on_loss(unit, died))
     elif run.workers <= 0:
-        yield from _run_here(function, units)
+        yield from _run_here(function, chain.from_iterable(series))
     elif run.limits.memory_bytes is not None and not can_watch():
         raise ConfigError("--memory-limit needs /proc, which reports the memory of processes; this system has none")
     else:
-        yield from run_with_limits(function, units, run.workers, run.limits, on_loss)
+        yield from run_with_limits(function, series, run.workers, run.limits, on_loss)
 
 
 def _run_here(function: Callable[[Unit], Result], units: Iterable[Unit]) -> Iterator[tuple[int, Result]]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from itertools import count
 from multiprocessing.connection import wait as wait_for
 from typing import Any, TypeVar
 
@@ -60,12 +61,12 @@ def run_on_processes(
         return iter(())
 
     with _pool_to_use() as pool:
-        yield from pool.run(function, units, workers, again, None)
+        yield from pool.run(function, [units], workers, again, None)
 
 
 def run_with_limits(
     function: Callable[[Unit], Result],
-    units: Iterable[Unit],
+    series: Sequence[Iterable[Unit]],
     workers: int,
     limits: Limits,
     on_loss: Callable[[Unit, Loss], Result],
@@ -76,7 +77,7 @@ def run_with_limits(
         yield on_loss(unit, loss)
 
     with _pool_to_use() as pool:
-        yield from pool.run(function, units, workers, lost, limits)
+        yield from pool.run(function, series, workers, lost, limits)
 
 
 class Pool:
@@ -88,21 +89,23 @@ class Pool:
     def run(
         self,
         function: Callable[[Any], Any],
-        units: Iterable[Any],
+        series: Sequence[Iterable[Any]],
         workers: int,
         on_loss: Callable[[int, Any, Loss], Iterator[Any]],
         limits: Limits | None,
     ) -> Iterator[tuple[int, Any]]:
         """Yield (index, result) as units are done.
 
-        Units are consumed as workers become free; a unit for which ``on_loss`` yields no result is tried again.
+        Units are consumed as workers become free, and counted in that order; a worker stays with a series while it has
+        units. A unit for which ``on_loss`` yields no result is tried again.
         """
         self._drain_abandoned_units()
-        source = enumerate(units)
+        left = [iter(units) for units in series]
+        numbers = count()
         again: deque[tuple[int, Any]] = deque()
         failed_starts = 0
         with memory_watched(lambda: list(self.workers), None if limits is None else limits.memory_bytes):
-            while busy := self._assign_units(function, source, again, workers):
+            while busy := self._assign_units(function, left, numbers, again, workers):
                 for worker, index, unit, report in self._poll_workers(busy, limits):
                     if isinstance(report, Raised):
                         raise report.exception from RemoteTraceback(report.traceback)
@@ -134,19 +137,44 @@ class Pool:
         sweep()  # what methods' processes of workers that were killed have left behind
 
     def _assign_units(
-        self, function: Any, source: Iterator[tuple[int, Any]], again: deque[tuple[int, Any]], workers: int
+        self,
+        function: Any,
+        left: list[Iterator[Any]],
+        numbers: Iterator[int],
+        again: deque[tuple[int, Any]],
+        workers: int,
     ) -> list[WorkerProcess]:
         """Give every free worker a unit, while there are any; returns the workers that have one."""
         for slot in range(workers):
-            if slot < len(self.workers) and self.workers[slot].work is not None:
+            worker = self.workers[slot] if slot < len(self.workers) else None
+            if worker is not None and worker.work is not None:
                 continue
-            work = again.popleft() if again else next(source, None)
-            if work is None:
+            series = None if worker is None else worker.series
+            if again:
+                work = again.popleft()
+            elif (found := self._next_unit(left, series)) is not None:
+                series, unit = found
+                work = next(numbers), unit
+            else:
                 break
-            if slot >= len(self.workers):
-                self.workers.append(WorkerProcess())
-            self.workers[slot].give(function, *work)
+            if worker is None:
+                worker = WorkerProcess()
+                self.workers.append(worker)
+            worker.series = series
+            worker.give(function, *work)
         return [worker for worker in self.workers if worker.work is not None]
+
+    def _next_unit(self, left: list[Iterator[Any]], last: Iterator[Any] | None) -> tuple[Iterator[Any], Any] | None:
+        """The next unit of the series that a worker was given last, or else of one on which the fewest others work."""
+
+        def others(series: Iterator[Any]) -> int:
+            return -1 if series is last else sum(worker.series is series for worker in self.workers)
+
+        for series in sorted(left, key=others):
+            for unit in series:
+                return series, unit
+            left.remove(series)
+        return None
 
     def _poll_workers(
         self, busy: list[WorkerProcess], limits: Limits | None

@@ -40,6 +40,8 @@ class WorkerProcess:
         self.ready = False
         self.work: tuple[int, Any] | None = None
         """index and unit in progress"""
+        self.series: Iterator[Any] | None = None
+        """what the last unit is of"""
         self.step: Step | None = None
         self._deadline: float | None = None
         self._loss: Loss | None = None

@@ -44,6 +44,16 @@ def count_alive(folder: str) -> int:
     return len(list(Path(folder).iterdir()))
 
 
+def meet(place: tuple[str, str, int]) -> tuple[str, int]:
+    """The name and the process, once as many of the same round have begun: (folder, "ROUND-NAME", number of them)."""
+    folder, name, others = place
+    here, number = Path(folder), name.partition("-")[0]
+    (here / name).touch()
+    while len(list(here.glob(f"{number}-*"))) < others:
+        time.sleep(0.005)
+    return name, os.getpid()
+
+
 def tell_and_sleep(folder: str) -> None:
     """A file named by the process, then nothing for long."""
     (Path(folder) / str(os.getpid())).touch()

@@ -47,7 +47,7 @@ def check_method(
     spec = parse_method(method, settings, kind=kind_of(target_of(method)))
     # In a process of its own, as it is evaluated: what it does to it is a finding, and Ctrl-C ends it.
     asked = [(spec, dataset)]
-    findings = next(f for _, f in run_limited(_checked, asked, Run(), on_loss=_lost))
+    findings = next(f for _, f in run_limited(_checked, [asked], Run(), on_loss=_lost))
     if json:
         values = [{"check": f.check, "passed": f.passed, "doubtful": f.doubtful, "detail": f.detail} for f in findings]
         passed, doubtful = (sum(getattr(f, name) for f in findings) for name in ("passed", "doubtful"))

@@ -88,7 +88,7 @@ def parse_apart(text: str, settings: Sequence[str], seed: int, kind: MethodKind,
     configuration = Configuration(text, tuple(settings), seed, kind, sandbox)
     one = Run(1, limits=run.limits)
     found: Reported | Loss
-    ((_, found),) = run_limited(_reported, [configuration], one, on_loss=_loss)
+    ((_, found),) = run_limited(_reported, [[configuration]], one, on_loss=_loss)
     if isinstance(found, Loss):
         raise MethodError(f"{kind.noun} '{text}' cannot be imported: {found.words}")
     facts = found.uses_times, one_line(found.assumes, MOST_ASSUMED), found.files

@@ -43,7 +43,7 @@ def construction_fault(spec: MethodSpec, run: Run) -> str:
 
 def _made(spec: MethodSpec, run: Run) -> Capabilities:
     one = Run(min(run.workers, 1), limits=run.limits)
-    found = run_limited(_make, [(spec, run.in_subprocess, run.sandbox_of_methods())], one, on_loss=_lost)
+    found = run_limited(_make, [[(spec, run.in_subprocess, run.sandbox_of_methods())]], one, on_loss=_lost)
     return next(capabilities for _, capabilities in found)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import groupby
 from typing import Generic, TypeVar
 
 from relocbench.datasets.core.pairfile import PairKey
@@ -34,12 +35,14 @@ def run_until_answered(
 
     Args:
         function: answers the pairs of a unit and returns their number.
-        open_units: returns units of the pairs that have no entry yet.
+        open_units: returns units of the pairs that have no entry yet, those of a pair set after each other. A worker
+            stays with a set where it can, since a process of a method serves one set only.
         lost: decides what is tried again.
         advance: called with the number of pairs just done.
     """
     while units := open_units():
-        asked = run_limited(function, lost.runnable_units(units, advance), run, on_loss=lost.handle_loss)
+        sets = [lost.runnable_units(list(of_one), advance) for _, of_one in groupby(units, lambda unit: unit.pair_set)]
+        asked = run_limited(function, sets, run, on_loss=lost.handle_loss)
         for _, done in asked:
             lost.unit_ended(done)
             advance(done)

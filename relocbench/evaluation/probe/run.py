@@ -246,7 +246,7 @@ def _draw(
     notes: dict[str, None] = {}
     with reporter.stage("drawing features", len(pictures)) as advance:
         here = replace(options.run, scheduler=None)
-        made = run_limited(draw, pictures, here, on_loss=lost_picture)
+        made = run_limited(draw, [pictures], here, on_loss=lost_picture)
         for index, (path, note) in made:
             if path is not None:
                 drawn[index] = path

@@ -125,7 +125,7 @@ class WorkerRetriever:
         return result
 
     def _send(self, request: _Request) -> CallResult | Loss | None:
-        done = run_limited(_serve, [request], self._run, on_loss=lambda request, loss: loss)
+        done = run_limited(_serve, [[request]], self._run, on_loss=lambda request, loss: loss)
         out: CallResult | Loss | None = next(result for _, result in done)
         return out
 

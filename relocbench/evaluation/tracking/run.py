@@ -6,8 +6,8 @@ pair set are written whole and its journal is removed. Workers get no ground tru
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from typing import Any
 
 from relocbench.datasets.core.dataset import Dataset
@@ -47,7 +47,7 @@ from relocbench.evaluation.isolation.worker import (
     tracker_of,
 )
 from relocbench.evaluation.tables.answers import ANSWERS, Answer, read_answers
-from relocbench.execution import MANY_TIMES, kept_workers, step
+from relocbench.execution import MANY_TIMES, step
 from relocbench.files import locked_folder, read_rows, write_text
 from relocbench.methods import SUBPROCESS, MethodSpec
 from relocbench.tracking import Query
@@ -98,10 +98,24 @@ def run_method(
     if not folder.run_yaml.exists():
         write_record(folder.run_yaml, record)
     stage = reporter.stage(f"{spec.label} on {dataset.name}", sum(map(len, todo.values())))
-    lost = LossHandler(_write_crash)
-    with stage as advance, kept_workers():
-        for pair_set in pair_sets:
-            _run_pair_set(assigned, pair_set, folder, todo[pair_set.name], lost, advance)
+    left = [s for s in pair_sets if todo[s.name] or not folder.complete(s.name)]
+
+    def unanswered(pair_set: PairSet) -> list[PairKey]:
+        answered = answered_keys(folder.journal(pair_set.name))
+        return [key for key in todo[pair_set.name] if key not in answered]
+
+    def open_units() -> list[Unit]:
+        return [unit for s in left for unit in assigned.units(s, folder.journal(s.name), unanswered(s))]
+
+    with stage as advance, ExitStack() as alone:
+        for journal in (folder.journal(s.name) for s in left):
+            journal.mkdir(parents=True, exist_ok=True)
+            alone.enter_context(locked_folder(journal, PredictionError))
+        try:
+            run_until_answered(_run_unit, open_units, LossHandler(_write_crash), assigned.run, advance)
+        finally:
+            for pair_set in (s for s in left if not unanswered(s)):
+                _collect(pair_set, folder)
     begun = folder.run_record()
     sandbox = record.sandbox if begun.sandbox == record.sandbox else ""
     of_all = {
@@ -113,28 +127,6 @@ def run_method(
     }
     write_record(folder.run_yaml, record.model_copy(update=of_all))
     return folder
-
-
-def _run_pair_set(
-    assigned: Assignment,
-    pair_set: PairSet,
-    folder: MethodResults,
-    todo: list[PairKey],
-    lost: LossHandler[Unit],
-    advance: Callable[[int], None],
-) -> None:
-    if not todo and folder.complete(pair_set.name):
-        return
-    journal = folder.journal(pair_set.name)
-    journal.mkdir(parents=True, exist_ok=True)
-
-    def open_units() -> list[Unit]:
-        answered = answered_keys(journal)
-        return assigned.units(pair_set, journal, [key for key in todo if key not in answered])
-
-    with locked_folder(journal, PredictionError):
-        run_until_answered(_run_unit, open_units, lost, assigned.run, advance)
-        _collect(pair_set, folder, journal)
 
 
 def _run_unit(unit: Unit) -> int:
@@ -194,8 +186,9 @@ def _write_crash(unit: Unit, key: PairKey, message: str) -> None:
     append_entry(unit.journal, _entry(key, error_answer(message), None, None))
 
 
-def _collect(pair_set: PairSet, folder: MethodResults, journal: Path) -> None:
+def _collect(pair_set: PairSet, folder: MethodResults) -> None:
     """Turn the journal, and earlier answers that are kept, into prediction file and table, in the pair set's order."""
+    journal = folder.journal(pair_set.name)
     entries = {entry["key"]: entry for entry in _kept_entries(folder, pair_set)}
     entries |= {entry["key"]: entry for entry in journal_entries(journal)}
     lines, answers = [], []

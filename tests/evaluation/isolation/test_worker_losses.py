@@ -7,8 +7,8 @@ A worker is played in this process: it raises where a real one would have ended.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
-from itertools import groupby
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import chain, groupby
 from pathlib import Path
 from typing import Any, Literal
 
@@ -87,9 +87,13 @@ def _unit(keys: tuple[PairKey, ...], journal: Path) -> Unit:
 @pytest.fixture(autouse=True)
 def played_workers(monkeypatch: pytest.MonkeyPatch) -> None:
     def run_here(
-        function: Callable[[Any], int], units: Iterable[Any], run: Run, *, on_loss: Callable[[Any, Loss], int]
+        function: Callable[[Any], int],
+        series: Sequence[Iterable[Any]],
+        run: Run,
+        *,
+        on_loss: Callable[[Any, Loss], int],
     ) -> Iterator[tuple[int, int]]:
-        for index, unit in enumerate(units):
+        for index, unit in enumerate(chain.from_iterable(series)):
             try:
                 done = function(unit)
             except WorkerLost as lost:

@@ -75,7 +75,7 @@ def limit_s() -> int:
 def few_times() -> None:
     """What is done once may take twice the time limit in the worker that lives now, so that less is waited for."""
     assert MANY_TIMES == 10, "elsewhere it may take ten times the limit, as is documented"
-    done = run_limited(allow_few_times, [2.0], Run(), on_loss=lambda unit, loss: loss)
+    done = run_limited(allow_few_times, [[2.0]], Run(), on_loss=lambda unit, loss: loss)
     assert list(done) == [(0, None)]
 
 
