@@ -25,6 +25,7 @@ def calls(out: str) -> dict[str, list[str]]:
     return {
         NOTHING: ["-c", "pass"],
         "import relocbench": ["-c", "import relocbench"],
+        "process of a method": ["-c", "import relocbench.evaluation.isolation.isolated_process"],
         "relocbench --help": [*command, "--help"],
         "wrong path: inspect": [*command, "inspect", missing],
         "wrong path: validate": [*command, "validate", missing],

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from relocbench.cli.options import split_commas, takes_several
 from relocbench.cli.spellings import other_number
 from relocbench.errors import ConfigError, hint, quoted
-from relocbench.execution import Scheduler
+from relocbench.execution.scheduler_setting import SchedulerSetting
 from relocbench.files import first_fault, load_yaml_values, yaml_line
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -23,7 +23,7 @@ class Where(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     workers: int | None = Field(None, ge=1)
-    scheduler: Scheduler | None = None
+    scheduler: SchedulerSetting | None = None
 
 
 def merged(

@@ -9,10 +9,9 @@ import ssl
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
-
-from pydantic import BaseModel, ConfigDict, model_validator
+from typing import Any, ClassVar, Self
 
 from relocbench.errors import ConfigError, RelocbenchError
 from relocbench.files import plain_file
@@ -23,10 +22,11 @@ _CLOSING_S = 5
 _TLS = "tls://"
 
 
-class Scheduler(BaseModel):
-    """The address of a Dask scheduler with its certificates. In a configuration file it may be the address alone."""
+@dataclass(frozen=True)
+class Scheduler:
+    """The address of a Dask scheduler with its certificates."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    __pydantic_config__: ClassVar = {"extra": "forbid"}
 
     address: str
     """``tcp://host:port``, ``tls://host:port``, or the path of the JSON file that ``dask scheduler`` writes"""
@@ -41,15 +41,10 @@ class Scheduler(BaseModel):
     reads: tuple[Path, ...] = ()
     """files and folders that every worker must see"""
 
-    @model_validator(mode="before")
-    @classmethod
-    def _from_address(cls, values: Any) -> Any:
-        return {"address": values} if isinstance(values, str) else values
-
     def with_shared_folders(self, writes: Path, *reads: Path | None) -> Self:
         """The same scheduler for work that writes to one folder and reads others."""
         found = tuple(path.absolute() for path in reads if path is not None)
-        return self.model_copy(update={"writes": writes.absolute(), "reads": found})
+        return replace(self, writes=writes.absolute(), reads=found)
 
     def __str__(self) -> str:
         return self.address

@@ -5,17 +5,19 @@ from __future__ import annotations
 import re
 import reprlib
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails
 
 from relocbench.errors import MOST_QUOTED, RelocbenchError, cut, hint, printable
 from relocbench.files.text import read_text
 from relocbench.files.yaml_text import YamlFault, YamlPlaces, parse_yaml
 
-Model = TypeVar("Model", bound=BaseModel)
+if TYPE_CHECKING:  # every process imports this module, and few of them read a file by a model
+    from pydantic import BaseModel, ValidationError
+    from pydantic_core import ErrorDetails
+
+Model = TypeVar("Model", bound="BaseModel")
 MAX_YAML_BYTES = 16 * 2**20
 """the scores of a method on some ten thousand pair sets"""
 
@@ -31,6 +33,8 @@ def load_yaml(path: Path, model: type[Model], what: str, error: type[RelocbenchE
     Raises:
         RelocbenchError: (as ``error``) with file, line and key: no YAML, an unknown key, a wrong type.
     """
+    from pydantic import ValidationError
+
     values, places = load_yaml_values(path, what, error)
     try:
         return model.model_validate(values)
@@ -82,7 +86,7 @@ def first_fault(bad: ValidationError) -> tuple[str, tuple[str | int, ...]]:
     first = faults[0]
     location = tuple(first["loc"])
     key = cut(printable(".".join(str(part) for part in location)), MOST_QUOTED)
-    if first["type"] == "extra_forbidden":
+    if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         message = f"unknown key '{key}'"
     elif first["type"] == "missing":
         message = f"key '{key}' is missing"

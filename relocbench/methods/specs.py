@@ -11,8 +11,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pydantic import TypeAdapter, ValidationError
-
 from relocbench.errors import MethodError, available, cut, hint, one_line, quoted
 from relocbench.files import YamlFault, check_distinct, check_label, first_fault, parse_yaml_setting, sha256_file
 from relocbench.methods.discovery import SUBPROCESS, TRACKERS, MethodKind, is_ours, method_class, parameters_of
@@ -238,6 +236,8 @@ def target_of(text: str) -> str:
 
 
 def _validated(named: str, parameter: Parameter, value: Any, text: str) -> Any:
+    from pydantic import TypeAdapter, ValidationError
+
     adapter: TypeAdapter[Any] = TypeAdapter(parameter.annotation)
     try:
         return adapter.validate_python(value)

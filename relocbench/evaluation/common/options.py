@@ -8,7 +8,8 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from relocbench.datasets.core.schema import Strict
-from relocbench.execution import TIME_LIMIT_S, Limits, Run, SandboxChoice, Scheduler, default_workers, parse_size
+from relocbench.execution import TIME_LIMIT_S, Limits, Run, SandboxChoice, default_workers, parse_size
+from relocbench.execution.scheduler_setting import SchedulerSetting
 
 Overwrite = Literal["never", "failed", "always"]
 """answers to compute again: none, those that failed, or all"""
@@ -39,7 +40,7 @@ class ExecutionOptions(LimitOptions):
 
     workers: int | None = Field(None, ge=0)
     """number of processes; None: one for each core; 0: this process, without limits"""
-    scheduler: Scheduler | None = None
+    scheduler: SchedulerSetting | None = None
 
     @property
     def run(self) -> Run:
