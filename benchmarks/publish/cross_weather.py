@@ -47,6 +47,7 @@ from groups import (
     commit,
     difference_table,
     differences,
+    rounded_percent,
     run,
 )
 
@@ -317,11 +318,6 @@ def _summary(groups: Mapping[str, Group], methods: Sequence[str], columns: Mappi
         shares = [groups[group].mean(method, metric) for metric, group in columns.values()]
         lines.append(f"| `{method}` | {' | '.join(map(rounded_percent, shares))} |")
     return lines
-
-
-def rounded_percent(share: float) -> str:
-    """A share in whole percent, about as fine as its interval; with a decimal where 100 would say that none is lost."""
-    return f"{100 * min(share, 0.999):.1f}" if 0.995 <= share < 1.0 else f"{100 * share:.0f}"
 
 
 def _distances(results: Path) -> list[str]:

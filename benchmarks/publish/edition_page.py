@@ -2,12 +2,13 @@
 
     python benchmarks/publish/edition_page.py --scratch S [--edition 2026.1] [--split test] [--tier T] [--workers N]
     python benchmarks/publish/edition_page.py --only-print [--datasets E]
+    python benchmarks/publish/edition_page.py --summary [--split test]
 
 Districts and results are kept in ``--scratch``; when it is run again, only what is missing is made, and what was
 published before is not asked again. An archive for each method on each tier, with all errors and predictions, goes to
 ``OUT/predictions/EDITION-SPLIT/TIER/METHOD.tar.xz``, and the page is printed from these archives alone. ``--only-
 print`` makes nothing else. With ``--datasets``, an edition that was rendered again, every error is first computed anew
-from the predictions and the truth.
+from the predictions and the truth. ``--summary`` makes nothing, and prints the table of README from the archives.
 
 The page has the share of pairs that each method finds on each tier, with its interval; the differences that answer a
 question, on the same pairs and with one error rate for all of them; the shares by weather; how often answers are right;
@@ -25,7 +26,7 @@ from pathlib import Path
 import numpy as np
 import tiers
 from archives import pack, unpack
-from groups import FLOORS, METRICS, Group, commit, difference_table, differences, run
+from groups import FLOORS, METRICS, Group, commit, difference_table, differences, rounded_percent, run
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.edition_folder import datasets_of, questions_of
@@ -48,6 +49,8 @@ _OF = {
     "validation": "Methods were developed on districts of this split, so that its numbers say how they were tuned.",
     "test": "The [ledger](../LEDGER.md) says when each method was asked.",
 }
+SUMMARY = ("gn-net", "aliked-pnp", "sift-pnp", "orb-pnp", "dso", "identity")
+"""methods of the table of README"""
 WEATHERS = ("Rain", "Snow", "Night", "Fog")
 """conditions that a column shows by itself"""
 _AGAIN = """
@@ -72,19 +75,25 @@ def main() -> None:
     parser.add_argument("--districts", type=int, help="only the first districts, to try the whole line out")
     parser.add_argument("--workers", "-j", type=int, default=2)
     parser.add_argument("--only-print", action="store_true", help="render and ask nothing")
+    parser.add_argument("--summary", action="store_true", help="print the table of README alone")
     parser.add_argument("--predictions", type=Path, help="folder of the archives; default: below --out")
     parser.add_argument("--datasets", type=Path, help="the edition, rendered again: compute every error anew")
     options = parser.parse_args()
-    if not options.only_print and options.scratch is None:
-        parser.error("--scratch FOLDER, or --only-print")
+    makes = not (options.only_print or options.summary)
+    if makes and options.scratch is None:
+        parser.error("--scratch FOLDER, --only-print or --summary")
     name = f"{options.edition}-{options.split}"
     archives = options.predictions or options.out / "predictions" / name
     try:
         edition = recipe(options.edition)
-        if not options.only_print:
+        if makes:
             make(edition, archives, options)
         with tempfile.TemporaryDirectory() as temporary:
-            text = page(edition, options.split, unpack(archives, Path(temporary) / "results"), options.datasets)
+            results = unpack(archives, Path(temporary) / "results")
+            if options.summary:
+                print("\n".join(summary(tiers.groups(tiers.answers(results)))))
+                return
+            text = page(edition, options.split, results, options.datasets)
     except RelocbenchError as bad:
         sys.exit(str(bad))
     options.out.mkdir(parents=True, exist_ok=True)
@@ -147,6 +156,15 @@ def page(edition: Recipe, split: str, results: Path, datasets: Path | None = Non
             _AGAIN.format(again=again, commit=commit()),
         ]
     )
+
+
+def summary(columns: Sequence[Group]) -> list[str]:
+    """The shares that a few methods find on each tier, in whole percent."""
+    lines = [f"| method | {' | '.join(group.name for group in columns)} |", f"|---|{'---:|' * len(columns)}"]
+    for method in SUMMARY:
+        shares = (rounded_percent(group.mean(method, METRICS[0])) for group in columns)
+        lines.append(f"| `{method}` | {' | '.join(shares)} |")
+    return lines
 
 
 def _notes(edition: Recipe, split: str, columns: Sequence[Group]) -> Iterator[str]:

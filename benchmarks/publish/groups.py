@@ -115,6 +115,11 @@ def commit() -> str:
     return subprocess.run(asked, check=True, capture_output=True, text=True).stdout.strip()
 
 
+def rounded_percent(share: float) -> str:
+    """A share in whole percent, about as fine as its interval; with a decimal where 100 would say that none is lost."""
+    return f"{100 * min(share, 0.999):.1f}" if 0.995 <= share < 1.0 else f"{100 * share:.0f}"
+
+
 def run(*words: object) -> None:
     """Run a relocbench command; its messages go to standard error."""
     subprocess.run([sys.executable, "-m", "relocbench", *map(str, words)], check=True, stdout=sys.stderr)

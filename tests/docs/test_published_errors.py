@@ -1,4 +1,4 @@
-"""The page across weathers follows from the errors that are published beside it."""
+"""The tables that people read first have the numbers of the published pages, and these follow from published errors."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from repository import ROOT
 sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
 import archives
 import cross_weather
+import edition_page
 import groups
 
 from relocbench.datasets.importers.edition.districts import District
@@ -48,12 +49,10 @@ def test_what_is_packed_is_unpacked_and_the_same_errors_give_the_same_bytes(tmp_
         archives.unpack(tmp_path / "none", tmp_path / "there")
 
 
-@pytest.mark.parametrize(("page", "tables"), [("README.md", ("SUMMARY",)), ("docs/results.md", ("SUMMARY", "RESULTS"))])
-def test_the_tables_that_people_read_have_the_published_shares(page: str, tables: tuple[str, ...]) -> None:
+def test_the_tables_of_the_results_page_have_the_published_shares() -> None:
     text = (WEATHER / "cross_weather.md").read_text()
     published = {metric: shares_of(text, metric) for metric in groups.METRICS}
-    shown = [part for part in (ROOT / page).read_text().split("\n\n") if part.startswith("| method |")]
-    for name, part in zip(tables, shown, strict=True):
+    for name, part in zip(("SUMMARY", "RESULTS"), tables_of(ROOT / "docs" / "results.md"), strict=True):
         columns = getattr(cross_weather, name)
         for method, shares in table_of(part).items():
             for (column, (metric, group)), (head, share) in zip(columns.items(), shares.items(), strict=True):
@@ -61,6 +60,23 @@ def test_the_tables_that_people_read_have_the_published_shares(page: str, tables
                 apart = abs(float(share) - float(published[metric][method][group]))
                 assert head == column
                 assert apart < (0.11 if "." in share else 0.56), (method, column)
+
+
+def test_the_table_of_readme_has_the_shares_of_the_edition() -> None:
+    published = table_of((ROOT / "leaderboard" / "edition" / "2026.1-test.md").read_text())
+    (part,) = tables_of(ROOT / "README.md")
+    shown = table_of(part)
+    assert list(shown) == list(edition_page.SUMMARY)
+    for method, shares in shown.items():
+        assert shares.keys() == published[method].keys()
+        for tier, share in shares.items():
+            apart = abs(float(share) - float(published[method][tier].split()[0]))
+            assert apart < (0.11 if "." in share else 0.56), (method, tier)
+
+
+def tables_of(page: Path) -> list[str]:
+    """The tables of a page whose rows are methods."""
+    return [part for part in page.read_text().split("\n\n") if part.startswith("| method |")]
 
 
 def table_of(text: str) -> dict[str, dict[str, str]]:
