@@ -226,12 +226,12 @@ def test_a_cluster_with_tls_takes_who_holds_a_certificate_and_no_other(
     certificates: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cluster, "WORKER_TIMEOUT_S", 120.0)
-    files = {name: certificates / f"{name}.pem" for name in ("ca", "cert", "key")}
+    ca, cert, key = (certificates / f"{name}.pem" for name in ("ca", "cert", "key"))
     processes = DaskProcesses(tmp_path, certificates)
     try:
         assert processes.address.startswith("tls://")
         processes.add_workers(1)
-        known = Scheduler(address=processes.address, **{f"tls_{name}": path for name, path in files.items()})
+        known = Scheduler(address=processes.address, tls_ca=ca, tls_cert=cert, tls_key=key)
         assert dict(run_units(square, [1, 2, 3], Run(scheduler=known))) == {0: 1, 1: 4, 2: 9}
         monkeypatch.setattr(scheduler, "SCHEDULER_TIMEOUT", "0.5s")  # whoever is refused tries until then
         with refused(ConfigError, "", None, "--scheduler-tls-ca"):
@@ -241,8 +241,8 @@ def test_a_cluster_with_tls_takes_who_holds_a_certificate_and_no_other(
             list(run_units(square, [1, 2], Run(scheduler=Scheduler(address=plain))))
         command = "openssl req -x509 -newkey rsa:2048 -nodes -keyout o.key -out o.pem -subj /CN=stranger"
         subprocess.run(command.split(), cwd=tmp_path, check=True, capture_output=True)
-        other = {"tls_ca": files["ca"], "tls_cert": tmp_path / "o.pem", "tls_key": tmp_path / "o.key"}
+        other = Scheduler(processes.address, ca, tmp_path / "o.pem", tmp_path / "o.key")
         with refused(ConfigError, "", None, processes.address):
-            list(run_units(square, [1, 2], Run(scheduler=Scheduler(address=processes.address, **other))))
+            list(run_units(square, [1, 2], Run(scheduler=other)))
     finally:
         processes.close()
