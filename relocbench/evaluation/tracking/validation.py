@@ -198,13 +198,13 @@ def _note_unfinished(
 ) -> None:
     """Note what an unfinished run has done and how to resume it; that is no fault."""
     pair_sets = expected.pair_sets or {}
-    for name in sorted(running):
-        done = answered_keys(folder.journal(name))
+    begun = {name: len(done) for name in sorted(running) if (done := answered_keys(folder.journal(name)))}
+    for name, done in begun.items():
         of = f" of {pair_sets[name]}" if name in pair_sets else ""
         findings.note(
-            f"unfinished: {len(done)}{of} pairs of {name} are answered{_resume(folder, run, expected)}", folder.root
+            f"unfinished: {done}{of} pairs of {name} are answered{_resume(folder, run, expected)}", folder.root
         )
-    missing = sorted(pair_sets.keys() - present - running)
+    missing = sorted((pair_sets.keys() | running) - present - begun.keys())
     if missing and run is not None:
         state = "has no answers for" if run.end or run.target.startswith(PREDICTIONS) else "unfinished: not begun with"
         findings.note(f"{state} {', '.join(missing)}{_resume(folder, run, expected)}", folder.root)

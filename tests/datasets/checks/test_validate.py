@@ -18,6 +18,8 @@ from relocbench.datasets.checks.validation import validate_dataset
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.errors import RelocbenchError
+from relocbench.evaluation.isolation.handles import TrackerHandle
+from relocbench.evaluation.isolation.worker import Unit, show_keyframe
 from relocbench.evaluation.tracking import run as run_module
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.evaluation.tracking.validation import validate_prediction_files, validate_results
@@ -286,9 +288,15 @@ def test_a_run_that_was_killed_is_unfinished_and_its_command_ends_it(
     def killed(*_: object) -> None:
         raise KeyboardInterrupt
 
+    def killed_within(unit: Unit, tracker: TrackerHandle) -> str | None:
+        if unit.pair_set == WITHIN:
+            raise KeyboardInterrupt
+        return show_keyframe(unit, tracker)
+
     # A method with parameters, one of which is unset.
     options = EvaluateOptions(dataset=dataset.root, methods=("orb-pnp",), out=tmp_path / "R", workers=0)
     with monkeypatch.context() as patch:
+        patch.setattr(run_module, "show_keyframe", killed_within)
         patch.setattr(run_module, "_collect", killed)
         with pytest.raises(KeyboardInterrupt):
             evaluate_methods(options, Silent())
