@@ -199,10 +199,10 @@ def _note_unfinished(
     """Note what an unfinished run has done and how to resume it; that is no fault."""
     pair_sets = expected.pair_sets or {}
     begun = {name: len(done) for name in sorted(running) if (done := answered_keys(folder.journal(name)))}
-    for name, done in begun.items():
+    for name, count in begun.items():
         of = f" of {pair_sets[name]}" if name in pair_sets else ""
         findings.note(
-            f"unfinished: {done}{of} pairs of {name} are answered{_resume(folder, run, expected)}", folder.root
+            f"unfinished: {count}{of} pairs of {name} are answered{_resume(folder, run, expected)}", folder.root
         )
     missing = sorted((pair_sets.keys() | running) - present - begun.keys())
     if missing and run is not None:
