@@ -159,11 +159,11 @@ def page(edition: Recipe, split: str, results: Path, datasets: Path | None = Non
 
 
 def summary(columns: Sequence[Group]) -> list[str]:
-    """The shares that a few methods find on each tier, in whole percent."""
+    """The shares that a few methods find on each tier, in whole percent; empty where one was not asked of all pairs."""
     lines = [f"| method | {' | '.join(group.name for group in columns)} |", f"|---|{'---:|' * len(columns)}"]
     for method in SUMMARY:
-        shares = (rounded_percent(group.mean(method, METRICS[0])) for group in columns)
-        lines.append(f"| `{method}` | {' | '.join(shares)} |")
+        cells = [rounded_percent(g.mean(method, METRICS[0])) if method in g.methods else "" for g in columns]
+        lines.append(f"| `{method}` | {' | '.join(cells)} |")
     return lines
 
 

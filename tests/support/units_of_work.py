@@ -12,6 +12,8 @@ from pathlib import Path
 
 from relocbench.errors import DatasetError
 
+_MEETING_S = 60.0
+
 
 def square(value: int) -> int:
     return value * value
@@ -49,7 +51,9 @@ def meet(place: tuple[str, str, int]) -> tuple[str, int]:
     folder, name, others = place
     here, number = Path(folder), name.partition("-")[0]
     (here / name).touch()
+    patience = time.monotonic() + _MEETING_S
     while len(list(here.glob(f"{number}-*"))) < others:
+        assert time.monotonic() < patience, f"{name} is alone: the others of its round wait for this worker"
         time.sleep(0.005)
     return name, os.getpid()
 
