@@ -4,7 +4,7 @@ RUN := $(VENV)/bin
 RECORDINGS ?= ../shared/data
 
 .PHONY: help setup kernels browser test test-rest test-all test-busy test-processors kills fuzz lint format demo bench prove docs light constraints image clean
-.PHONY: leaderboard recompute leaderboard-weather leaderboard-edition leaderboard-retrieval leaderboard-relocalization
+.PHONY: leaderboard recompute leaderboard-edition leaderboard-retrieval leaderboard-relocalization
 
 PIN := $(RUN)/uv pip compile -q pyproject.toml --extra dev --extra bags --extra cluster --extra registration --extra learned \
   --extra pretrained --extra fast --extra tensorboard --extra viewer --extra clouds --python-version 3.11 --custom-compile-command "make constraints"
@@ -76,9 +76,6 @@ leaderboard: setup ## make the published results again (RECORDINGS=folder of kit
 
 recompute: setup ## recompute the published pages and say which differ (RECORDINGS=folder; RENDER=yes, for hours)
 	$(RUN)/python tools/recompute.py $(if $(wildcard $(RECORDINGS)),--recordings $(RECORDINGS)) $(if $(RENDER),--render)
-
-leaderboard-weather: setup ## make the published results across weathers again (renders and evaluates for hours)
-	$(RUN)/python benchmarks/publish/cross_weather.py --out leaderboard/weather --errors leaderboard/weather/errors
 
 leaderboard-edition: setup ## make the published results of an edition again, by tiers (renders and evaluates for hours; EDITION= SPLIT= SCRATCH=)
 	$(RUN)/python benchmarks/publish/edition_page.py --edition $(or $(EDITION),2026.1) --split $(or $(SPLIT),validation) \

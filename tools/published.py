@@ -76,7 +76,6 @@ def page_of_edition(path: Path) -> Page:
             "benchmarks/publish/edition_page.py",
             "benchmarks/publish/tiers.py",
             "benchmarks/publish/groups.py",
-            "benchmarks/publish/cross_weather.py",
             "relocbench/datasets/importers/edition",
             *_TOWN,
             *_TRACKING,
@@ -101,18 +100,6 @@ PAGES = (
         "leaderboard/real/webcams_probe/probe.md",
         "make leaderboard RECORDINGS=FOLDER",
         ("relocbench/evaluation/probe", *_SMALL_SETS),
-    ),
-    Page(
-        "leaderboard/weather/cross_weather.md",
-        "make leaderboard-weather",
-        (
-            "benchmarks/publish/cross_weather.py",
-            "benchmarks/publish/districts.py",
-            "benchmarks/publish/groups.py",
-            *_TOWN,
-            *_TRACKING,
-            *_TRACKERS,
-        ),
     ),
     Page(
         "leaderboard/relocalization/relocalization.md",

@@ -70,7 +70,6 @@ def findings(leaderboard: Path, scratch: Path, recordings: Path | None, render: 
         "leaderboard.md": lambda: small_sets(leaderboard, scratch, recordings),
         "real/real.md": lambda: real(leaderboard, scratch),
         "real/michigan.md": lambda: shifts(leaderboard, scratch, recordings),
-        "weather/cross_weather.md": lambda: weather(leaderboard, scratch),
         "relocalization/relocalization.md": lambda: relocalization(leaderboard, scratch, render),
     }
     for page in published.PAGES:
@@ -82,19 +81,6 @@ def findings(leaderboard: Path, scratch: Path, recordings: Path | None, render: 
                 f"cannot be recomputed: neither predictions nor errors are published; `{page.command}` evaluates anew"
             )
             yield Finding(name, "from what is published", reason)
-
-
-def weather(leaderboard: Path, scratch: Path) -> Iterator[Finding]:
-    """The page across weathers, from the errors of every pair."""
-    page = "weather/cross_weather.md"
-    errors, out = leaderboard / "weather" / "errors", scratch / "weather"
-    _run("benchmarks/publish/cross_weather.py", "--only-print", "--errors", errors, "--out", out)
-    yield compared(page, "from published errors", leaderboard / page, out / "cross_weather.md")
-    lacking = len(archives.without_predictions(errors))
-    outcome = f"cannot be recomputed: no predictions published in {lacking} archives"
-    if not lacking:
-        outcome = "not recomputed: the districts of a test split are rendered by `make leaderboard-weather` alone"
-    yield Finding(page, _PREDICTIONS, outcome)
 
 
 def relocalization(leaderboard: Path, scratch: Path, render: bool, *options: object) -> Iterator[Finding]:

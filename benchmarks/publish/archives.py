@@ -52,9 +52,9 @@ def _write(files: Iterable[Path], results: Path, out: Path) -> None:
     part.rename(out)
 
 
-def unpack(archives: Path, to: Path) -> Path:
-    """The folder ``to`` with the results of all archives of a folder."""
-    found = sorted(archives.glob("*/*.tar.xz"))
+def unpack(archives: Path, to: Path, label: str = "*") -> Path:
+    """The folder ``to`` with the results of all archives of a folder, or of those of one method."""
+    found = sorted(archives.glob(f"*/{label}.tar.xz"))
     if not found:
         sys.exit(f"{archives}: holds no archive FOLDER/METHOD.tar.xz of results")
     for path in found:
@@ -69,16 +69,6 @@ def extract(path: Path, to: Path) -> None:
             archive.extractall(to, filter="data")
     except (OSError, EOFError, lzma.LZMAError, tarfile.TarError) as bad:
         sys.exit(f"{path}: expected a whole archive of results: {bad}")
-
-
-def without_predictions(archives: Path) -> list[Path]:
-    """The archives that hold errors alone."""
-    found = []
-    for path in sorted(archives.glob("*/*.tar.xz")):
-        with tarfile.open(path) as archive:
-            if not any(name.endswith(".txt") for name in archive.getnames()):
-                found.append(path)
-    return found
 
 
 if __name__ == "__main__":

@@ -8,11 +8,12 @@ Districts and results are kept in ``--scratch``; when it is run again, only what
 published before is not asked again. An archive for each method on each tier, with all errors and predictions, goes to
 ``OUT/predictions/EDITION-SPLIT/TIER/METHOD.tar.xz``, and the page is printed from these archives alone. ``--only-
 print`` makes nothing else. With ``--datasets``, an edition that was rendered again, every error is first computed anew
-from the predictions and the truth. ``--summary`` makes nothing, and prints the table of README from the archives.
+from the predictions and the truth. ``--summary`` makes nothing, and prints the tables of README and ``docs/results.md``
+from the archives.
 
 The page has the share of pairs that each method finds on each tier, with its interval; the differences that answer a
-question, on the same pairs and with one error rate for all of them; the shares by weather; how often answers are right;
-and the digests by which to see that the same was asked.
+question, on the same pairs and with one error rate for all of them; how exact answers are; the shares by weather; how
+often answers are right; and the digests by which to see that the same was asked.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ _OF = {
     "test": "The [ledger](../LEDGER.md) says when each method was asked.",
 }
 SUMMARY = ("gn-net", "aliked-pnp", "sift-pnp", "orb-pnp", "dso", "identity")
-"""methods of the table of README"""
+"""methods of the table of README; the results page has all of them"""
 WEATHERS = ("Rain", "Snow", "Night", "Fog")
 """conditions that a column shows by itself"""
 _AGAIN = """
@@ -75,7 +76,7 @@ def main() -> None:
     parser.add_argument("--districts", type=int, help="only the first districts, to try the whole line out")
     parser.add_argument("--workers", "-j", type=int, default=2)
     parser.add_argument("--only-print", action="store_true", help="render and ask nothing")
-    parser.add_argument("--summary", action="store_true", help="print the table of README alone")
+    parser.add_argument("--summary", action="store_true", help="print the tables of README and results page")
     parser.add_argument("--predictions", type=Path, help="folder of the archives; default: below --out")
     parser.add_argument("--datasets", type=Path, help="the edition, rendered again: compute every error anew")
     options = parser.parse_args()
@@ -91,7 +92,9 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as temporary:
             results = unpack(archives, Path(temporary) / "results")
             if options.summary:
-                print("\n".join(summary(tiers.groups(tiers.answers(results)))))
+                columns = tiers.groups(tiers.answers(results))
+                for methods in (SUMMARY, tiers.in_order(columns)):
+                    print("\n".join(summary(columns, methods)), end="\n\n")
                 return
             text = page(edition, options.split, results, options.datasets)
     except RelocbenchError as bad:
@@ -149,7 +152,8 @@ def page(edition: Recipe, split: str, results: Path, datasets: Path | None = Non
             _HEAD.format(edition=edition.edition, split=split) + "\n".join(tiers.table(columns)),
             "",
             *_notes(edition, split, columns),
-            *difference_table(differences(columns, METRICS[:1]), side_by_side=True),
+            *difference_table(differences(columns)),
+            *_exactness(columns),
             *by_weather(columns),
             *_sureness(columns),
             *_questions(edition, split, columns, asked),
@@ -158,10 +162,10 @@ def page(edition: Recipe, split: str, results: Path, datasets: Path | None = Non
     )
 
 
-def summary(columns: Sequence[Group]) -> list[str]:
-    """The shares that a few methods find on each tier, in whole percent; empty where one was not asked of all pairs."""
+def summary(columns: Sequence[Group], methods: Sequence[str]) -> list[str]:
+    """The shares that methods find on each tier, in whole percent; empty where one was not asked of all pairs."""
     lines = [f"| method | {' | '.join(group.name for group in columns)} |", f"|---|{'---:|' * len(columns)}"]
-    for method in SUMMARY:
+    for method in methods:
         cells = [rounded_percent(g.mean(method, METRICS[0])) if method in g.methods else "" for g in columns]
         lines.append(f"| `{method}` | {' | '.join(cells)} |")
     return lines
@@ -176,6 +180,16 @@ def _notes(edition: Recipe, split: str, columns: Sequence[Group]) -> Iterator[st
     else:
         yield "Intervals speak of other districts of the same recipe as well. Districts count alike."
     yield _OF[split]
+
+
+def _exactness(columns: Sequence[Group]) -> Iterator[str]:
+    """How exact answers are: the areas under the curves of both errors."""
+    yield "\n## How exact are answers?\n"
+    yield "[Areas under the curves](../../docs/metrics.md) of the errors up to half a metre and half a degree, in"
+    yield "percent: 100 is the truth itself, and a pair without an answer counts as 0."
+    for metric in METRICS[1:]:
+        yield f"\n### {metric}\n"
+        yield from tiers.table(columns, metric)
 
 
 def by_weather(columns: Sequence[Group]) -> Iterator[str]:

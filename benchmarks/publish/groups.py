@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -37,19 +36,13 @@ QUESTIONS = {
     ("gn-net-from-prior", "orb-pnp"): "align without a match, or match classical features",
     ("aliked-pnp", "sift-pnp"): "match learned or classical features",
     ("aliked-pnp", "orb-pnp"): "match learned or classical features",
-    ("gn-net-from-prior", "dso-along"): "learned features or grey levels, from the same starts",
+    ("gn-net-one-start", "dso"): "learned features or grey levels, from the keyframe's pose",
     ("gn-net-from-prior", "gn-net-one-start"): "what starts along the road add",
     ("gn-net", "gn-net-from-prior"): "what a start from matches adds",
-    ("gn-net", "gn-net-pnp"): "what alignment adds to its own matches",
     ("gn-net-from-aliked-pnp", "aliked-pnp"): "what alignment adds to another method's pose",
-    ("dso-from-orb-pnp", "orb-pnp"): "what grey levels add to another method's pose",
-    ("dso-from-gn-net-pnp", "gn-net-pnp"): "what grey levels add to another method's pose",
     ("gn-net", "gn-net-contrastive"): "all losses, or the contrastive one alone",
-    ("gn-net", "lm-net"): "encoder, data, losses and starts along the road",
 }
 """by two methods, the question that the first less the second answers: all differences that the page lists"""
-COMPARED = METRICS[0], METRICS[2]
-"""metrics of differences"""
 _OF_DIFFERENCES = """\
 Percentage points by which the first method is ahead of the second, with the 95 % interval of each difference by itself,
 and its p value over all {count} differences of this page: the probability of one as clear anywhere among them if no two
@@ -125,45 +118,32 @@ def run(*words: object) -> None:
     subprocess.run([sys.executable, "-m", "relocbench", *map(str, words)], check=True, stdout=sys.stderr)
 
 
-Listed = dict[tuple[tuple[str, str], str, str], Difference]
-"""the differences of a page by the two methods, the group and the metric"""
+Listed = dict[tuple[tuple[str, str], str], Difference]
+"""the differences of a page by the two methods and the group"""
 
 
-def differences(groups: Sequence[Group], metrics: Sequence[str] = COMPARED) -> Listed:
-    """All differences that the page lists, with one error rate."""
-    keys = [
-        (both, group, metric)
-        for both in QUESTIONS
-        for group in groups
-        if group.methods.issuperset(both)
-        for metric in metrics
-    ]
-    found = [group.ahead(*both, metric) for both, group, metric in keys]
-    return {
-        (both, group.name, metric): difference
-        for (both, group, metric), difference in zip(keys, controlled(found), strict=True)
-    }
+def differences(groups: Sequence[Group]) -> Listed:
+    """All differences of the share that is found, with one error rate."""
+    keys = [(both, group) for both in QUESTIONS for group in groups if group.methods.issuperset(both)]
+    found = [group.ahead(*both, METRICS[0]) for both, group in keys]
+    return {(both, group.name): each for (both, group), each in zip(keys, controlled(found), strict=True)}
 
 
-def difference_table(listed: Listed, *, side_by_side: bool = False) -> list[str]:
-    """What the first of two methods has more than the second: metrics side by side, or groups, which one metric has."""
+def difference_table(listed: Listed) -> list[str]:
+    """What the first of two methods finds more than the second, with the groups side by side."""
     if not listed:
         return []
+    columns = dict.fromkeys(group for _, group in listed)
     lines = [f"\n## Differences\n\n{_OF_DIFFERENCES.format(count=len(listed))}"]
-    columns = dict.fromkeys(group if side_by_side else metric for _, group, metric in listed)
-    lines += [f"| methods | question |{'' if side_by_side else ' group |'}{''.join(f' {c} | p |' for c in columns)}"]
-    lines += [f"|---|---|{'' if side_by_side else '---|'}{'---:|---:|' * len(columns)}"]
-    rows: dict[tuple[Any, ...], dict[str, list[str]]] = {}
-    for (both, group, metric), found in listed.items():
-        cells = [in_points(found), "" if found.adjusted_p is None else p_text(found.adjusted_p)]
-        row, column = ((both,), group) if side_by_side else ((both, group), metric)
-        rows.setdefault(row, {})[column] = cells
-    last = None
-    for (both, *group), by_column in rows.items():
-        question = "" if both == last else QUESTIONS[both]
-        cells = [cell for column in columns for cell in by_column.get(column, ["", ""])]
-        lines.append(f"| {' | '.join([f'{both[0]} less {both[1]}', question, *group, *cells])} |")
-        last = both
+    lines += [f"| methods | question |{''.join(f' {column} | p |' for column in columns)}"]
+    lines += [f"|---|---|{'---:|---:|' * len(columns)}"]
+    for both in dict.fromkeys(both for both, _ in listed):
+        cells = []
+        for column in columns:
+            found = listed.get((both, column))
+            p = None if found is None else found.adjusted_p
+            cells += ["" if found is None else in_points(found), "" if p is None else p_text(p)]
+        lines.append(f"| {' | '.join([f'{both[0]} less {both[1]}', QUESTIONS[both], *cells])} |")
     return lines
 
 

@@ -5,8 +5,8 @@ the results on them. A row is a method: the share of the pairs of a tier that it
 across conditions, with its 95 % interval. Districts count alike, and so do the pair sets of a district, as on boards.
 Pairs on the street whose houses repeat themselves stand apart. ``true-matches`` is what perfect matching leaves: PnP
 on the dataset's own visible correspondences, whose pixels in the query are off by 1 px (one sigma, in each direction)
-and whose depths by the error that the map states. With ``--evaluate`` it and the methods are asked first; their
-settings are those of ``cross_weather.py``, and rows of ALIKED need its authors' weights. ``--picture FILE`` shows a
+and whose depths by the error that the map states. With ``--evaluate`` it and the methods are asked first; the
+rows of ALIKED need its authors' weights. ``--picture FILE`` shows a
 pair of each tier, that of median overlap: keyframes above, queries below. The last line is JSON.
 """
 
@@ -23,9 +23,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pandas as pd
-from cross_weather import SETTINGS
 from groups import FLOORS, METRICS, Group, run
 
+from baselines.gn_net.tracker import ONE_START
 from relocbench.arrays import Array, Image
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.edition_folder import datasets_of
@@ -60,6 +60,20 @@ METHODS = (
     "aliked-pnp",
     "gn-net-from-aliked-pnp=gn-net-from-prior",
 )
+SETTINGS = (
+    *(f"gn-net-one-start.{name}={json.dumps(value)}" for name, value in ONE_START.items()),
+    "gn-net-one-start.cache_size=200",
+    "gn-net-from-prior.cache_size=200",
+    "gn-net-contrastive.cache_size=200",
+    "gn-net.cache_size=200",
+    "aliked-pnp.cache_size=200",
+    "gn-net-from-aliked-pnp.cache_size=200",
+    "gn-net-from-aliked-pnp.start=aliked-pnp",
+    "gn-net-from-aliked-pnp.start.cache_size=200",
+    "gn-net-from-aliked-pnp.prior_level=2",
+    "gn-net-from-aliked-pnp.min_agreement=0",
+)
+"""``cache_size`` saves the network's passes over images that other pairs showed. No seconds are printed."""
 _PIXEL_SIGMA = 1.0
 _RANSAC_PX = 4.0
 _SHOWN_PX = 320
@@ -141,6 +155,7 @@ def answers(results: Path, folders: Sequence[Path] = ()) -> pd.DataFrame:
                         "column": [TIERS[tier] if tier >= 0 else "" for tier in rows.scores.tiers],
                         "confidence": rows.column("confidence"),
                         "answered": np.isfinite(rows.errors.translation_error_m),
+                        "distance_m": rows.column("distance_m"),
                         **{metric: of(rows.errors) for metric, of in values.items() if of is not None},
                     }
                 )
@@ -162,9 +177,8 @@ def evaluate(folder: Path, results: Path, workers: int) -> None:
     """Ask true matches and the methods about the datasets of a folder; what is answered already is kept."""
     for dataset in datasets_of(folder):
         bound(dataset, results)
-    labels = [name.split("=")[0] for name in METHODS]
     words = [word for name in METHODS for word in ("-m", name)]
-    words += [word for each in SETTINGS if each.split(".")[0] in labels for word in ("--set", each)]
+    words += [word for each in SETTINGS for word in ("--set", each)]
     run("evaluate", "-d", folder, *words, "--out", results, "-j", workers)
 
 
@@ -197,14 +211,14 @@ def in_order(columns: Sequence[Group]) -> list[str]:
     return sorted(shares, key=lambda method: (method != BOUND, method in FLOORS, -shares[method], method))
 
 
-def table(columns: Sequence[Group]) -> list[str]:
-    """The shares that each method finds, with their intervals; empty where a method was not asked of all pairs."""
+def table(columns: Sequence[Group], metric: str = METRICS[0]) -> list[str]:
+    """What each method reaches, with its intervals; empty where a method was not asked of all pairs."""
     lines = [f"| method | {' | '.join(group.name for group in columns)} |", f"|---|{'---:|' * len(columns)}"]
     for what in ("pairs", "districts"):
         lines.append(f"| *{what}* | {' | '.join(f'*{getattr(group, what)}*' for group in columns)} |")
     for method in in_order(columns):
         cells = [
-            with_bounds(group.mean(method, METRICS[0]), group.interval(method, METRICS[0]), "share")
+            with_bounds(group.mean(method, metric), group.interval(method, metric), "share")
             if method in group.methods
             else ""
             for group in columns

@@ -1,10 +1,9 @@
 """Whether differences near the ceiling are covered, and how often equal methods have a star, on simulated drives.
 
-The regime is that of the page across weathers (``benchmarks/publish/cross_weather.py``): twelve districts, six pair
-sets of 52 pairs in each, which become one series of a district by the step of the drive, and methods that are right on
-90 to 100 % of the pairs. Errors are those of ``intervals.py``: autoregressions along the drive, of which the sets of a
-district have a part in common, both methods another (``shared``), and each method in each district a constant
-(``district``).
+The regime is one in which nearly every pair is found: twelve districts, six pair sets of 52 pairs in each, which become
+one series of a district by the step of the drive, and methods that are right on 90 to 100 % of the pairs. Errors are
+those of ``intervals.py``: autoregressions along the drive, of which the sets of a district have a part in common, both
+methods another (``shared``), and each method in each district a constant (``district``).
 
 Printed are
 

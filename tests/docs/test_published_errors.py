@@ -11,14 +11,9 @@ from repository import ROOT
 
 sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
 import archives
-import cross_weather
 import edition_page
-import groups
 
-from relocbench.datasets.importers.edition.districts import District
-
-WEATHER = ROOT / "leaderboard" / "weather"
-NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
+EDITION = ROOT / "leaderboard" / "edition" / "2026.1-test.md"
 QUOTED = re.compile(r"[-+]\d+\.\d+ \[[-+.\d]+, [-+.\d]+\](?: \*)?")
 
 
@@ -29,8 +24,7 @@ def test_what_is_packed_is_unpacked_and_the_same_errors_give_the_same_bytes(tmp_
     (method.parent / "dataset.yaml").write_text("name: town-02\n")
     for name, text in (("run.yaml", "a"), ("scores.yaml", "b"), ("p.errors.csv", "c"), ("p.txt", "d"), ("p.csv", "e")):
         (method / name).write_text(text)
-    district = District(2, 5, ("Rain",))
-    out = cross_weather.packed(tmp_path / "errors", district, "orb-pnp")
+    out = tmp_path / "errors" / "02" / "orb-pnp.tar.xz"
     archives.pack(results, "town-02", "orb-pnp", out)
     first = out.read_bytes()
     archives.pack(results, "town-02", "orb-pnp", out)
@@ -49,24 +43,13 @@ def test_what_is_packed_is_unpacked_and_the_same_errors_give_the_same_bytes(tmp_
         archives.unpack(tmp_path / "none", tmp_path / "there")
 
 
-def test_the_tables_of_the_results_page_have_the_published_shares() -> None:
-    text = (WEATHER / "cross_weather.md").read_text()
-    published = {metric: shares_of(text, metric) for metric in groups.METRICS}
-    for name, part in zip(("SUMMARY", "RESULTS"), tables_of(ROOT / "docs" / "results.md"), strict=True):
-        columns = getattr(cross_weather, name)
-        for method, shares in table_of(part).items():
-            for (column, (metric, group)), (head, share) in zip(columns.items(), shares.items(), strict=True):
-                # the page has one decimal, so that a rounded share may be off by half a percent and half a decimal
-                apart = abs(float(share) - float(published[metric][method][group]))
-                assert head == column
-                assert apart < (0.11 if "." in share else 0.56), (method, column)
-
-
-def test_the_table_of_readme_has_the_shares_of_the_edition() -> None:
-    published = table_of((ROOT / "leaderboard" / "edition" / "2026.1-test.md").read_text())
-    (part,) = tables_of(ROOT / "README.md")
-    shown = table_of(part)
-    assert list(shown) == list(edition_page.SUMMARY)
+@pytest.mark.parametrize(("page", "methods"), [("README.md", edition_page.SUMMARY), ("docs/results.md", None)])
+def test_the_tables_that_people_read_first_have_the_shares_of_the_edition(
+    page: str, methods: tuple[str, ...] | None
+) -> None:
+    published = {method: row for method, row in table_of(EDITION.read_text()).items() if not method.startswith("*")}
+    shown = table_of(tables_of(ROOT / page)[0])
+    assert list(shown) == list(methods or published)
     for method, shares in shown.items():
         assert shares.keys() == published[method].keys()
         for tier, share in shares.items():
@@ -86,44 +69,15 @@ def table_of(text: str) -> dict[str, dict[str, str]]:
     return {row[0]: dict(zip(rows[0][1:], row[1:], strict=True)) for row in rows[2:]}
 
 
-def shares_of(page: str, metric: str) -> dict[str, dict[str, str]]:
-    """The shares of a metric by method and group, of the groups of all changes and of those of each condition."""
-    together, by_condition = (
-        table_of(page.split(f"{heading}\n")[1]) for heading in (f"## {metric}, %", f"### {metric}, %, by condition")
-    )
-    return {method: row | by_condition[method] for method, row in together.items()}
-
-
 @pytest.mark.parametrize(
     ("page", "end"),
     [
         ("docs/results.md", "## Real images"),
-        ("docs/gn-net-results.md", "## On real images"),
+        ("docs/editions.md", "**Validation.**"),
         ("docs/feature-trackers.md", "## What alignment adds"),
     ],
 )
 def test_differences_that_people_read_stand_on_the_page_with_their_stars(page: str, end: str) -> None:
     quoted = set(QUOTED.findall((ROOT / page).read_text().split(end)[0]))
     assert quoted
-    assert quoted <= set(QUOTED.findall((WEATHER / "cross_weather.md").read_text()))
-
-
-@pytest.mark.thorough
-def test_the_page_is_printed_again_from_the_published_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    page = (WEATHER / "cross_weather.md").read_text()
-    methods = [method for method in shares_of(page, groups.METRICS[0]) if not method.startswith("*")]
-    given = {name.split("=")[0]: name for name in cross_weather.METHODS}
-    words = [word for method in methods for word in ("-m", given[method])]
-    asked = ["cross_weather.py", "--only-print", "--errors", WEATHER / "errors", "--out", tmp_path, *words]
-    monkeypatch.setattr(sys, "argv", list(map(str, asked)))
-    cross_weather.main()
-    again = (tmp_path / "cross_weather.md").read_text()
-
-    def tables(text: str) -> list[str]:
-        return [line for line in text.splitlines() if line.startswith(("|", "#"))]
-
-    for old, new in zip(tables(page), tables(again), strict=True):
-        # Processors differ in the last digits, and a number may be rounded to the other side.
-        assert NUMBER.sub("#", old) == NUMBER.sub("#", new)
-        apart = zip(NUMBER.findall(old), NUMBER.findall(new), strict=True)
-        assert all(abs(float(a) - float(b)) <= 0.11 for a, b in apart), (old, new)
+    assert quoted <= set(QUOTED.findall(EDITION.read_text()))
