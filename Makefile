@@ -25,10 +25,10 @@ browser:         ## Chromium, which the tests of the pages in HTML open them in 
 
 PYTEST := OMP_NUM_THREADS=1 $(RUN)/python -m pytest -q -n logical --dist worksteal --durations=20
 
-test: kernels    ## the quick tests: each promise once, on all cores
+test: kernels    ## the quick tests, of a second or so each, on all cores
 	$(PYTEST) -m "not thorough"
 
-test-rest: kernels ## the other tests, marked thorough: more cases of the same promises
+test-rest: kernels ## the other tests, marked thorough: whatever takes longer
 	$(PYTEST) -m thorough
 
 test-all: kernels ## all tests: those of test and of test-rest

@@ -58,6 +58,7 @@ def test_pairs_come_with_images_depth_and_truth(dataset: Path) -> None:
         next(rb.iterate_pairs(opened, pair_set="summer"))
 
 
+@pytest.mark.thorough
 def test_tables_are_those_of_the_commands(results: Path, tmp_path: Path) -> None:
     write_leaderboard(results, tmp_path)
     table = rb.read_leaderboard(results)
@@ -96,6 +97,7 @@ def test_registries_name_the_installed_methods() -> None:
     assert {"lpn", "orb-bow"} <= set(rb.retrievers())
 
 
+@pytest.mark.thorough
 def test_the_lines_of_the_readme_run(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     section = (ROOT / "README.md").read_text().split("## In Python")[1]
     lines = section.split("```python\n")[1].split("```")[0].replace('"demo/dataset"', repr(str(dataset)))

@@ -28,6 +28,7 @@ def help_of(kind: str) -> str:
     return " ".join(re.sub("[│╭╮╰╯─]", " ", relocbench("build-dataset", kind, "--help").out).split())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("option", "kinds"),
     [

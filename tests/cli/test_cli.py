@@ -149,6 +149,7 @@ def test_a_mistake_is_one_line_and_status_2(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.thorough
 def test_quiet_hides_progress_and_not_the_results(dataset: Dataset, tmp_path: Path) -> None:
     asked = relocbench("evaluate", "-d", dataset.root, "-m", "identity", "-o", tmp_path / "results", "-j", 1, "-q")
     board = relocbench("leaderboard", tmp_path / "results", "-o", tmp_path / "board", "-q")
@@ -224,6 +225,7 @@ def test_a_single_prediction_file_answers_its_pair_set(dataset: Dataset, tmp_pat
     assert shown["methods"]["theirs"][ACROSS]["all"]["coverage"] == 1.0
 
 
+@pytest.mark.thorough
 def test_a_configuration_file_sets_everything_and_the_command_line_wins(dataset: Dataset, tmp_path: Path) -> None:
     config = tmp_path / "run.yaml"
     config.write_text(

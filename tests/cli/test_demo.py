@@ -38,6 +38,7 @@ def board_of(out: Path) -> list[dict[str, str]]:
         ]
 
 
+@pytest.mark.thorough
 def test_the_summary_has_the_shares_of_the_leaderboard(ran: tuple[Outcome, Path]) -> None:
     ended, out = ran
     assert ended.status == 0, ended.err
@@ -53,6 +54,7 @@ def test_the_summary_has_the_shares_of_the_leaderboard(ran: tuple[Outcome, Path]
     assert ended.out.splitlines()[0].endswith("Map: sunny, summer, morning")
 
 
+@pytest.mark.thorough
 def test_the_picture_is_written(ran: tuple[Outcome, Path]) -> None:
     ended, out = ran
     picture = out / "demo.png"
@@ -63,6 +65,7 @@ def test_the_picture_is_written(ran: tuple[Outcome, Path]) -> None:
     assert image.std() > 20
 
 
+@pytest.mark.thorough
 def test_the_last_line_names_the_page(ran: tuple[Outcome, Path]) -> None:
     ended, out = ran
     word, page = ended.out.splitlines()[-1].split(": ")
@@ -71,6 +74,7 @@ def test_the_last_line_names_the_page(ran: tuple[Outcome, Path]) -> None:
     assert "orb-pnp" in Path(page).read_text()
 
 
+@pytest.mark.thorough
 def test_a_folder_that_holds_something_else_is_refused_before_any_work(
     ran: tuple[Outcome, Path], tmp_path: Path
 ) -> None:
@@ -92,6 +96,7 @@ def test_the_picture_of_the_readme_is_of_the_street_that_the_demo_renders() -> N
     assert title.startswith("demo: pairs found within 0.25 m and 2°")
 
 
+@pytest.mark.thorough
 def test_weights_that_are_not_installed_are_one_note_which_says_how_to_get_them(ran: tuple[Outcome, Path]) -> None:
     notes = [line for line in ran[0].err.splitlines() if "aliked-pnp" in line]
     assert len(notes) == 1

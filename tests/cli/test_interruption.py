@@ -50,6 +50,7 @@ def interrupted(
     return err
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("deed", "workers", "kind", "to_group"),
     [

@@ -168,6 +168,7 @@ def test_the_table_has_every_command() -> None:
     assert set(commands) == set(COMMANDS)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "command",
     [pytest.param(name, marks=pytest.mark.thorough) if name in LONG else name for name in COMMANDS],

@@ -170,6 +170,7 @@ NEEDS_IMAGES: dict[str, tuple[list[str], str]] = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("what", NEEDS_IMAGES)
 def test_what_needs_images_says_so_in_one_line_and_writes_nothing(
     root: Path, tmp_path: Path, what: str, monkeypatch: pytest.MonkeyPatch

@@ -48,6 +48,7 @@ def results(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root / "r"
 
 
+@pytest.mark.thorough
 def test_a_page_says_who_is_ahead_and_where_it_is_lost(results: Path, tmp_path: Path) -> None:
     shown = relocbench("leaderboard", results, "--out", tmp_path / "b", "--relocalization-metric", "recall@(0.5m,5deg)")
     assert shown.status == 0, shown.err
@@ -97,6 +98,7 @@ def test_a_metric_of_a_task_without_results_is_refused(results: Path, tmp_path: 
     assert not (tmp_path / "b").exists()
 
 
+@pytest.mark.thorough
 def test_one_json_object(results: Path, dataset: Dataset) -> None:
     out = relocbench(
         *CHAIN, "-d", dataset.root, "-o", results, "-r", "oracle", "-m", f"good={KNOWS}", "--top", 2, "--json", "-q",
@@ -124,6 +126,7 @@ def test_a_configuration_file_can_ask_for_pipelines(dataset: Dataset, tmp_path: 
     assert "reach: 2" in run
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [

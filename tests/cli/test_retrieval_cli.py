@@ -31,6 +31,7 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_small_dataset(tmp_path_factory.mktemp("street") / "small", frames=4).root
 
 
+@pytest.mark.thorough
 def test_from_images_to_scores_and_a_page(views: Path, tmp_path: Path) -> None:
     common = (*RETRIEVAL, "-d", views, "-m", f"t={HERE}:Thumbnail", "--set", "t.side=4", "--out", tmp_path / "r")
     shown = relocbench(*common)
@@ -56,6 +57,7 @@ def test_from_images_to_scores_and_a_page(views: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "b" / "leaderboard.md").exists()
 
 
+@pytest.mark.thorough
 def test_a_configuration_file_gives_the_options_of_retrieval(street: Path, tmp_path: Path) -> None:
     config = tmp_path / "run.yaml"
     config.write_text(f"dataset: {street}\nmethods: ['t={HERE}:Thumbnail']\npositives: pairs\nout: {tmp_path}/r\n")
@@ -65,6 +67,7 @@ def test_a_configuration_file_gives_the_options_of_retrieval(street: Path, tmp_p
     assert f"{config}:2: unknown key 'matching'" in relocbench(*RETRIEVAL, "--config", config).complaint
 
 
+@pytest.mark.thorough
 def test_lists_made_elsewhere_are_scored(street: Path, tmp_path: Path) -> None:
     options = ("-d", street, "--radius", "0.2", "--out", tmp_path / "r", "-q")
     assert relocbench(*RETRIEVAL, *options, "-m", f"t={HERE}:Thumbnail").status == 0
@@ -168,6 +171,7 @@ def test_one_list_cannot_answer_two_tasks(views: Path, tmp_path: Path) -> None:
     assert "one file answers one task, and there are drone-satellite, satellite-drone" in outcome.complaint
 
 
+@pytest.mark.thorough
 def test_options_of_retrieval_are_refused_where_poses_are_asked(street: Path, tmp_path: Path) -> None:
     common = ("evaluate", "-d", street, "--out", tmp_path / "r")
     for option in (("--keep", "5"), ("--radius", "5"), ("--positives", "pairs"), ("--by-condition",)):
@@ -199,6 +203,7 @@ def test_without_a_command_the_help_is_shown() -> None:
     assert "evaluate-retrieval" in outcome.out
 
 
+@pytest.mark.thorough
 def test_both_kinds_of_methods_are_listed_and_told_apart() -> None:
     listed = json.loads(relocbench("methods", "--json").out)
     assert "orb-pnp" in listed["tracking"]
@@ -244,6 +249,7 @@ def test_retrievers_are_configured_as_trackers_are() -> None:
         parse_methods([f"a={HERE}:Thumbnail", f"a={HERE}:Constant"], kind=RETRIEVERS)
 
 
+@pytest.mark.thorough
 def test_a_retriever_can_be_checked() -> None:
     shown = relocbench("check-method", f"mine={HERE}:Thumbnail", "--set", "mine.side=4", "--json")
     assert shown.status == 0, shown.out

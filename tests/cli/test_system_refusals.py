@@ -74,6 +74,7 @@ def answers(out: Path) -> bytes:
 # Symbolic links that lead to themselves.
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -115,6 +116,7 @@ def test_a_link_to_itself_is_one_line_wherever_it_is_given(
     assert {path.name for path in tmp_path.iterdir()} <= {"data", "loop"}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("inside", ["dataset.yaml", "manifest.csv", "IMAGE", "DEPTH", "POSES", "PAIRS"])
 def test_a_link_to_itself_in_a_dataset_is_one_line(data: Path, tmp_path: Path, inside: str) -> None:
     path = part(data, inside)
@@ -297,6 +299,7 @@ def test_a_run_that_meets_a_limit_of_file_size_says_which_file_and_goes_on_later
     assert answers(tmp_path / "results") == answers(made / "results")
 
 
+@pytest.mark.thorough
 def test_a_full_disk_is_named_by_its_file_and_the_run_goes_on_when_there_is_room(made: Path, tmp_path: Path) -> None:
     disk = tmp_path / "disk"
     disk.mkdir()
@@ -333,6 +336,7 @@ def test_no_more_open_files_is_one_line(made: Path, tmp_path: Path) -> None:
     assert evaluate(made / "data", tmp_path / "results").status == 0
 
 
+@pytest.mark.thorough
 def test_a_program_that_is_being_written_costs_its_pairs_and_is_told(made: Path, tmp_path: Path) -> None:
     program = tmp_path / "tracker"
     shutil.copy2("/bin/true", program)

@@ -210,6 +210,7 @@ def test_options_are_shown_as_a_file_that_config_takes(tmp_path: Path, dataset: 
     assert again.out == shown.out
 
 
+@pytest.mark.thorough
 def test_a_dataset_becomes_weights_that_evaluate_runs(tmp_path: Path, dataset: Dataset) -> None:
     out = tmp_path / "out"
     done = train(dataset.root, out, "--validation-pairs", 2)

@@ -57,6 +57,7 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.mark.thorough
 def test_the_page_shows_each_method_on_each_tier_and_what_was_asked(published: Path) -> None:
     text = (published / "board" / "edition" / f"{NAME}.md").read_text()
     rows = [line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("| ")]
@@ -119,6 +120,7 @@ def test_a_pair_counts_for_the_weather_at_either_end() -> None:
     assert list(edition_page.by_weather([Group("hard", pd.DataFrame([{**rows[-1], "pair_set": "a__b__front"}]))])) == []
 
 
+@pytest.mark.thorough
 def test_the_page_is_printed_again_from_errors_and_from_predictions(published: Path, tmp_path: Path) -> None:
     page = published / "board" / "edition" / f"{NAME}.md"
     from_errors, untried = recompute.edition(page, tmp_path, render=False)
@@ -127,6 +129,7 @@ def test_the_page_is_printed_again_from_errors_and_from_predictions(published: P
     assert recompute.edition_again(page, tmp_path, published / "districts").outcome == "byte-equal"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "hidden", [False, pytest.param(True, marks=pytest.mark.thorough)], ids=["a changed file", "with its digest"]
 )

@@ -97,6 +97,7 @@ def test_a_package_shows_the_readme_with_whole_addresses_of_files_that_exist() -
     assert all(to.startswith("https://") for _, to in targets)
 
 
+@pytest.mark.thorough
 def test_the_wheel_holds_all_templates_and_fills_them_from_there(tmp_path: Path) -> None:
     build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
     subprocess.run(build, cwd=ROOT, check=True, capture_output=True)

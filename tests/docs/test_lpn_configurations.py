@@ -140,6 +140,7 @@ def test_one_seed_tells_nothing_apart() -> None:
     assert summary == {"mean": 100.0, "low": None, "high": None, "significant": False}
 
 
+@pytest.mark.thorough
 def test_the_page_has_intervals_and_differences(
     places: Path,
     to_learn_from: Path,

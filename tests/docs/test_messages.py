@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import sys
 
+import pytest
 from repository import ROOT
 
 sys.path.insert(0, str(ROOT / "tools"))
 import messages as tool
 
 
+@pytest.mark.thorough
 def test_the_catalogue_holds_the_messages_of_the_code() -> None:
     kept, now = set(tool.CATALOGUE.read_text(encoding="utf-8").splitlines()), set(tool.catalogue())
     changes = [f"- {line}" for line in sorted(kept - now)] + [f"+ {line}" for line in sorted(now - kept)]

@@ -285,6 +285,7 @@ def test_homographies_that_do_not_serve_are_refused(tmp_path: Path) -> None:
             homographies.read_homography(path)
 
 
+@pytest.mark.thorough
 def test_the_command_says_in_one_line_what_is_wrong(tmp_path: Path) -> None:
     def command(*words: object) -> subprocess.CompletedProcess[str]:
         asked = [sys.executable, *map(str, (ROOT / "tools" / "real_sets", *words))]

@@ -31,6 +31,7 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.mark.thorough
 def test_pages_that_follow_from_predictions_are_equal_and_a_page_that_was_edited_is_not(
     published: Path, tmp_path: Path
 ) -> None:
@@ -47,6 +48,7 @@ def test_pages_that_follow_from_predictions_are_equal_and_a_page_that_was_edited
     page.write_text(text)
 
 
+@pytest.mark.thorough
 def test_predictions_that_do_not_give_the_published_errors_are_told(published: Path, tmp_path: Path) -> None:
     forged = archives.unpack(published / "board" / "predictions", tmp_path / "forged")
     path = next(forged.rglob("*.txt"))

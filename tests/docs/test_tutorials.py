@@ -69,6 +69,7 @@ def test_every_tutorial_shows_what_its_commands_print(name: str) -> None:
     assert len(shown) >= 2
 
 
+@pytest.mark.thorough
 def test_the_first_tutorial_prints_what_it_shows(street: Path) -> None:
     assert_as_shown(FIRST, json.loads((street / "printed.json").read_text()))
 

@@ -24,6 +24,7 @@ ENDS = {
 """what a method does, within which limits, which kind of loss it is, and what is said of it"""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("limits", [IN_TIME, IN_MEMORY])
 def test_each_end_of_a_worker_is_told_and_costs_its_unit_alone(limits: Limits) -> None:
     deeds = [deed for deed in ENDS if ENDS[deed][0] is limits]

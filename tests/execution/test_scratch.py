@@ -44,6 +44,7 @@ def test_it_is_removed_with_its_owner(base: Path) -> None:
     assert list(base.iterdir()) == []
 
 
+@pytest.mark.thorough
 def test_folders_in_folders_a_thousand_deep_are_removed(base: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = ScratchFolder()
     monkeypatch.chdir(folder.path)

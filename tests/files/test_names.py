@@ -83,6 +83,7 @@ def test_a_label_has_ascii_letters_alone(label: str) -> None:
     assert check_label("ORB-pnp_v1.2+x", "method label") == "ORB-pnp_v1.2+x"
 
 
+@pytest.mark.thorough
 @given(st.text(max_size=20))
 def test_any_label_that_is_taken_is_plain(label: str) -> None:
     try:

@@ -160,6 +160,7 @@ def test_compose_of_nothing_is_the_identity() -> None:
     np.testing.assert_array_equal(compose(), np.eye(4))
 
 
+@pytest.mark.thorough
 def test_compose_does_not_drift_off_the_rotations() -> None:
     step = se3_exp([0.1, 0.2, 0.3, 0.01, -0.02, 0.03])
     transform = np.eye(4)

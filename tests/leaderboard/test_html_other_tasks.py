@@ -128,6 +128,7 @@ def _set(board: RetrievalBoard, part: str) -> Any:
     return next(asked for asked in board.sets if part in asked.record.name)
 
 
+@pytest.mark.thorough
 def test_no_page_and_no_payload_has_a_foreign_name_as_markup(site: Path) -> None:
     for path in [*site.glob("*.html"), *site.glob("data/**/*.js")]:
         assert HOSTILE not in path.read_text(encoding="utf-8"), path.name

@@ -81,6 +81,7 @@ def numbers_only(results: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
     return write_site(_boards(elsewhere / "results"), elsewhere / "html").parent
 
 
+@pytest.mark.thorough
 def test_the_worst_of_each_method_that_is_no_floor_are_chosen(results: Path) -> None:
     (dataset,) = _boards(results).tracking.datasets  # type: ignore[union-attr]
     methods = {method.label: method for method in dataset.entry.methods}
@@ -159,6 +160,7 @@ def test_results_that_no_dataset_explains_still_have_pages_of_pairs(tmp_path: Pa
     assert len(list(site.glob("data/pairs/*/*.js"))) == 1
 
 
+@pytest.mark.thorough
 def test_the_command_line_says_how_many_pairs_have_images(results: Path, tmp_path: Path) -> None:
     told = relocbench("report", results, "--out", tmp_path / "none", "--pairs", 0, "--quiet")
     assert told.status == 0, told.err
@@ -197,6 +199,7 @@ def _alpha(page: Any) -> float:
     )
 
 
+@pytest.mark.thorough
 @needs_browser
 def test_a_list_opens_a_pair_whose_warp_at_the_truth_agrees_best(page: Any, site: Path) -> None:
     _open_list(page, site, "wrong")

@@ -130,6 +130,7 @@ def test_a_point_of_a_curve_lists_the_pairs_up_to_it_and_beside_them_all_others(
     assert shown.count() == 15
 
 
+@pytest.mark.thorough
 def test_a_cell_of_the_matrix_lists_its_pairs_found_and_missed(page: Any, site: Path) -> None:
     _open(page, site)
     cells = page.locator(".matrix tbody tr", has_text="wrong").locator("td.share a")

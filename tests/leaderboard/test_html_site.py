@@ -134,6 +134,7 @@ def test_pages_of_methods_that_left_are_removed(boards: Boards, tmp_path: Path) 
     assert not list(tmp_path.glob("method-*.html"))
 
 
+@pytest.mark.thorough
 @needs_browser
 @pytest.mark.parametrize("page", ["light", pytest.param("dark", marks=pytest.mark.thorough)], indirect=True)
 def test_every_kind_of_page_opens_from_the_disk_and_is_accessible(page: Any, site: Path) -> None:
@@ -163,6 +164,7 @@ def test_the_start_page_sorts_and_searches_and_keeps_both_in_its_address(page: A
     assert page.told == []
 
 
+@pytest.mark.thorough
 @needs_browser
 def test_a_number_opens_its_pairs_worst_first(page: Any, site: Path, boards: Boards) -> None:
     assert boards.tracking is not None

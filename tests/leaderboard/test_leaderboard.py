@@ -186,6 +186,7 @@ def test_predictions_without_scores_are_refused_with_the_command_that_scores_the
         load_results(two_sets.root)
 
 
+@pytest.mark.thorough
 def test_a_metric_that_is_younger_than_the_scores_follows_from_the_errors(
     two_sets: MadeResults, tmp_path: Path
 ) -> None:
@@ -238,6 +239,7 @@ def test_the_interval_contains_the_value(two_sets: MadeResults) -> None:
     assert interval.low < value < interval.high
 
 
+@pytest.mark.thorough
 def test_what_else_is_in_the_folder_does_not_change_a_methods_numbers(two_sets: MadeResults) -> None:
     before = row(two_sets.board(), WINTER, "good")
     two_sets.add("another", {WINTER: made(9, 120, 0.2), NIGHT: made(9, 80, 0.2)})
@@ -281,6 +283,7 @@ def test_a_split_limits_tables_and_totals(tmp_path: Path) -> None:
         load_results(results.root, "val")
 
 
+@pytest.mark.thorough
 def test_runs_that_differ_by_their_seed_alone_get_a_mean_and_a_deviation(two_sets: MadeResults, tmp_path: Path) -> None:
     values = []
     for seed in (0, 1, 2):
@@ -311,6 +314,7 @@ def test_the_table_of_all_pairs_holds_every_method_and_pair(two_sets: MadeResult
     assert [float(r["translation_error_m"]) for r in mine] == list(given.translation_m)
 
 
+@pytest.mark.thorough
 def test_the_same_results_give_the_same_bytes(two_sets: MadeResults, tmp_path: Path) -> None:
     for name in ("a", "b"):
         write_leaderboard(two_sets.root, tmp_path / name)

@@ -131,6 +131,7 @@ def test_thresholds_finer_than_two_sigma_have_a_dagger(tmp_path: Path, sigma: fl
     assert ("</sub>† |" in page) == marked
 
 
+@pytest.mark.thorough
 def test_the_first_page_is_short_and_begins_with_all_methods_on_all_datasets(tmp_path: Path) -> None:
     groups = ("over_5m", "2_to_5m", "under_1m", "1_to_2m")
     results = MadeResults(tmp_path / "results", {WINTER: 100, NIGHT: 100}, groups=groups)

@@ -78,6 +78,7 @@ def test_pairs_of_the_same_drive_have_a_table_of_their_own(tmp_path: Path) -> No
     assert [over.name for over in make_board(load_results(tmp_path)).over] == ["cross-condition", "same drive"]
 
 
+@pytest.mark.thorough
 def test_many_datasets_must_agree_that_a_method_is_better(tmp_path: Path) -> None:
     """What one dataset alone decides is no difference on others, if there are many that say nothing."""
     for number in range(MANY_ROADS):

@@ -171,6 +171,7 @@ def test_json_holds_the_rows_of_both_halves(results: Path, tmp_path: Path) -> No
     assert {row["method"] for row in shown["retrieval"]} == {"good", "twin", "same", "half", "(chance)"}
 
 
+@pytest.mark.thorough
 def test_both_halves_are_written_from_one_results_folder(tmp_path: Path) -> None:
     street = make_small_dataset(tmp_path / "street", frames=8)
     out = tmp_path / "results"

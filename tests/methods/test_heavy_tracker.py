@@ -114,6 +114,7 @@ def test_a_crash_of_the_model_costs_its_pair_alone(tmp_path: Path, dataset: Data
     assert words.count("loaded") <= 3, "once, and again after it died with a batch and with the pair alone"
 
 
+@pytest.mark.thorough
 def test_what_a_model_raises_costs_its_pair_and_loads_nothing_again(tmp_path: Path, dataset: Dataset) -> None:
     pair_set = dataset.pair_set(ACROSS)
     asked = [pair for pair in pair_set.pairs if pair.key[0] == pair_set.pairs[0].key[0]]

@@ -156,6 +156,7 @@ def test_a_setting_for_no_method_of_the_run_is_refused() -> None:
         parse_methods(["identity"], ["dsx.points=3"])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "method",
     [
@@ -175,6 +176,7 @@ def test_every_breach_of_the_contract_is_found() -> None:
         assert all(not f.passed for f in findings if f.check.startswith("answers")), answer
 
 
+@pytest.mark.thorough
 def test_confidence_where_nothing_is_known_is_called_doubtful() -> None:
     doubtful = {f.check for f in check(parse_method(f"{HERE}:Certain")) if f.doubtful}
     assert doubtful == {

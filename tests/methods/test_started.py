@@ -38,6 +38,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return make_small_dataset(tmp_path_factory.mktemp("data") / "small")
 
 
+@pytest.mark.thorough
 def test_the_start_is_named_and_set_on_the_command_line(dataset: Dataset, tmp_path: Path) -> None:
     options = EvaluateOptions(
         dataset=dataset.root,

@@ -191,6 +191,7 @@ def test_a_stated_failure_is_no_error(tmp_path: Path, dataset: Dataset) -> None:
     tracker.close()
 
 
+@pytest.mark.thorough
 def test_the_documented_example_keeps_the_contract_and_is_scored(tmp_path: Path, dataset: Dataset) -> None:
     method = f"cv=subprocess:{sys.executable} {EXAMPLE} --forward 0.15"
     assert [f for f in check(parse_method(method)) if not f.passed] == []
@@ -312,6 +313,7 @@ def test_a_late_answer_is_never_taken_for_the_next_queries(tmp_path: Path, datas
     assert results[1].info["status"] == "error"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("body", "words"),
     [

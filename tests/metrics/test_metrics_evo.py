@@ -99,6 +99,7 @@ def test_kitti_00_absolute_error_is_the_published_one(real_data: RealData, with_
     assert rmse(error) == pytest.approx(published, abs=5e-7)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("sequence", [fr1_xyz, kitti])
 def test_every_pose_has_evos_absolute_error(
     real_data: RealData, sequence: Callable[[RealData], tuple[PosePath3D, PosePath3D]]
@@ -120,6 +121,7 @@ def motions(poses: Array, pairs: Array) -> Array:
     return out
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("sequence", [fr1_xyz, kitti])
 def test_every_motion_has_evos_relative_error(
     real_data: RealData, sequence: Callable[[RealData], tuple[PosePath3D, PosePath3D]]

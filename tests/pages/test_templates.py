@@ -89,6 +89,7 @@ def test_a_script_has_templates_beside_it(tmp_path: Path) -> None:
         assert done.stdout == "found\n"
 
 
+@pytest.mark.thorough
 def test_templates_are_loaded_where_a_page_is_written() -> None:
     code = (
         "import sys, relocbench, relocbench.leaderboard.tracking.set_page, relocbench.evaluation.probe.write\n"

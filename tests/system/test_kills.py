@@ -12,6 +12,7 @@ from kitti_wall import write_kitti_recording
 from small_dataset import make_small_dataset
 
 
+@pytest.mark.thorough
 def test_a_build_killed_in_its_work_ends_with_the_bytes_of_one_that_was_not(tmp_path: Path) -> None:
     """The short version of ``benchmarks/truth/kills.py``, whose jobs have workers as well."""
     recording = write_kitti_recording(tmp_path / "recording")

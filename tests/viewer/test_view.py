@@ -220,6 +220,7 @@ def test_distorted_images_are_undistorted() -> None:
     assert np.mean(np.abs(bent[inside].astype(float) - straight[inside])) > 15
 
 
+@pytest.mark.thorough
 def test_without_rerun_one_line_says_what_is_missing(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -276,6 +277,7 @@ def test_the_picture_of_a_pair_tells_its_numbers_and_is_the_same_each_time(
     assert first != other
 
 
+@pytest.mark.thorough
 def test_titles_in_any_script_and_of_any_length_are_drawn_without_a_warning(
     dataset: Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -310,6 +312,7 @@ def test_an_answer_at_the_true_pose_leaves_the_true_camera_in_sight(dataset: Dat
     assert green[0] > 0.35 * green[1], green
 
 
+@pytest.mark.thorough
 def test_a_picture_says_where_a_method_did_not_answer(dataset: Dataset, results: Path, tmp_path: Path) -> None:
     pair = _in_order(dataset.pair_set(ACROSS).evaluated)[0]
     asked = ["view", dataset.root, "--pair", *pair.key, "--results", results, "--method", "off"]

@@ -135,6 +135,7 @@ def test_colour_and_grey_images_give_the_same_pose(tracker: OrbPnp) -> None:
     np.testing.assert_array_equal(a.T_query_ref, b.T_query_ref)
 
 
+@pytest.mark.thorough
 @TRACKERS
 def test_same_inputs_give_the_same_bytes(tracker: OrbPnp) -> None:
     first = tracker.track(tracker.prepare(reference()), query())
@@ -384,6 +385,7 @@ def test_depth_is_not_interpolated_across_an_edge() -> None:
     assert np.isin(np.round(found, 9), [0.5, 0.1]).all()
 
 
+@pytest.mark.thorough
 def test_the_reach_follows_the_density_of_the_map_and_the_size_of_the_image() -> None:
     rng = np.random.default_rng(0)
     dense, thin = (rng.uniform(0, 1900, (count, 2)) for count in (900_000, 20_000))

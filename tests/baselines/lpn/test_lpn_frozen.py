@@ -150,6 +150,7 @@ def test_the_same_bytes_whatever_reads_the_batches_and_wherever_the_maps_are(tmp
     assert a.weights.read_bytes() == b.weights.read_bytes() == c.weights.read_bytes()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["lpn", "lpn-rpp"])
 def test_going_on_after_a_kill_ends_with_the_same_bytes(
     tmp_path: Path, resnet: Path, name: str, monkeypatch: pytest.MonkeyPatch

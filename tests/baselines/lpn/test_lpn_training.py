@@ -185,6 +185,7 @@ class Scores:
         return ValidationScores(values, {"drone-satellite": {**values, "chance R@1": 0.25}}, {"drone-satellite": 8})
 
 
+@pytest.mark.thorough
 def test_the_weights_that_validate_best_in_the_last_stage_are_kept(tmp_path: Path) -> None:
     report = train(tmp_path, "lpn-heatmap", Scores(0.9, 0.2, 0.4, 0.3), epochs={"uniform": 1, "heatmap": 3})
     assert (report.best_step, report.scores.together if report.scores else None) == (3, {"R@1": 0.4})

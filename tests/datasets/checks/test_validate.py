@@ -282,6 +282,7 @@ def test_results_of_another_dataset_are_a_fault(results: Path, tmp_path: Path) -
     assert other.fingerprint[:12] in found.faults[0].message
 
 
+@pytest.mark.thorough
 def test_a_run_that_was_killed_is_unfinished_and_its_command_ends_it(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -311,6 +312,7 @@ def test_a_run_that_was_killed_is_unfinished_and_its_command_ends_it(
     assert (after.faults, after.notes) == ([], [])
 
 
+@pytest.mark.thorough
 def test_the_command_prints_each_fault_on_a_line_with_the_count_and_exits_with_2(dataset: Dataset) -> None:
     runner = CliRunner()
     assert runner.invoke(app, ["validate", str(dataset.root), "-q"]).exit_code == 0

@@ -89,6 +89,7 @@ def capture(motion: Callable[[Array], Array], offset_s: float, seed: int) -> Tra
     return Trajectory(ns(seconds + offset_s), motion(seconds) @ se3_exp(noise))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("readout_s", [0.0, 0.025])
 def test_an_offset_is_found_and_a_readout_is_not_taken_for_one(readout_s: float) -> None:
     motion = by_hand(1)
@@ -105,6 +106,7 @@ def test_an_offset_is_found_and_a_readout_is_not_taken_for_one(readout_s: float)
     assert found.residual_at_offset.deg < 0.4 * found.residual.deg
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("depth", [True, False])
 def test_no_offset_is_found_where_there_is_none(depth: bool) -> None:
     for seed in (2,) if not depth else (2, 3):
@@ -115,12 +117,14 @@ def test_no_offset_is_found_where_there_is_none(depth: bool) -> None:
         assert abs(found.offset_s) < 4 * found.sigma_s
 
 
+@pytest.mark.thorough
 def test_even_motion_tells_no_offset() -> None:
     found = judge(evidence(evenly, 0.0, 4), capture(evenly, 0.04, 4))
     assert found.verdict == "cannot tell"
     assert found.correction_s == 0.0
 
 
+@pytest.mark.thorough
 def test_positions_of_another_clock_than_rotations_contradict_the_images() -> None:
     hand = by_hand(8)
 
@@ -135,6 +139,7 @@ def test_positions_of_another_clock_than_rotations_contradict_the_images() -> No
     assert found.correction_s == 0.0
 
 
+@pytest.mark.thorough
 def test_what_no_clock_explains_is_measured() -> None:
     motion = by_hand(5)
     seen = evidence(motion, 0.0, 5)

@@ -149,6 +149,7 @@ def test_predictions_of_another_copy_of_the_question_are_scored_and_say_so(origi
     assert taken.run_record().fingerprint == original.fingerprint
 
 
+@pytest.mark.thorough
 def test_results_on_two_copies_of_one_question_stand_in_one_table(original: Dataset, tmp_path: Path) -> None:
     other = changed(original, tmp_path / "there", last_digits)
     results = tmp_path / "results"

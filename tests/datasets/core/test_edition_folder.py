@@ -57,6 +57,7 @@ def test_every_district_of_an_edition_is_validated(edition: Path) -> None:
     assert str(edition / "easy" / "02") in found.out
 
 
+@pytest.mark.thorough
 def test_results_on_a_whole_edition_are_shown_together_and_scored_again_with_its_datasets(
     edition: Path, tmp_path: Path
 ) -> None:

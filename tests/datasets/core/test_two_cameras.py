@@ -48,6 +48,7 @@ def test_names_tell_the_cameras() -> None:
             pair_set_parts(name)
 
 
+@pytest.mark.thorough
 def test_a_dataset_with_them_has_a_format_of_its_own_and_is_sound(two: Dataset, tmp_path: Path) -> None:
     assert two.file.format_version == 5
     assert relocbench("validate", two.root, "--quiet").status == 0
@@ -145,6 +146,7 @@ def test_training_and_places_take_each_image_from_its_camera(two: Dataset) -> No
     assert all("/far/" in view.key for view in task.queries)
 
 
+@pytest.mark.thorough
 def test_inspection_pages_and_pictures_are_made(two: Dataset, tmp_path: Path) -> None:
     told = relocbench("inspect", two.root, "--pictures", tmp_path / "inspected", "--pairs", 1, "--quiet")
     assert told.status == 0, told.err

@@ -124,6 +124,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> CrossViewSet:
     return build(tmp_path_factory.mktemp("cross-view") / "out")
 
 
+@pytest.mark.thorough
 def test_the_set_has_university_1652s_layout(made: CrossViewSet) -> None:
     assert sorted(p.relative_to(made.root).as_posix() for p in (made.root / "test").glob("*/5000/*")) == [
         "test/gallery_drone/5000/image-01.png",
@@ -144,6 +145,7 @@ def test_the_set_has_university_1652s_layout(made: CrossViewSet) -> None:
     assert task.queries[0].image.shape == (48, 48, 3)
 
 
+@pytest.mark.thorough
 def test_images_show_something_and_no_two_are_alike(made: CrossViewSet) -> None:
     shots = [shot for folder in made.galleries.values() for shot in folder]
     pictures = [shot.view.image.astype(float) for shot in shots]
@@ -151,6 +153,7 @@ def test_images_show_something_and_no_two_are_alike(made: CrossViewSet) -> None:
     assert len({picture.tobytes() for picture in pictures}) == len(shots) == 16
 
 
+@pytest.mark.thorough
 def test_poses_are_those_of_the_images_and_face_their_places(made: CrossViewSet) -> None:
     with (made.root / "places.csv").open() as stream:
         places = {row["class"]: row for row in csv.DictReader(stream)}
@@ -169,6 +172,7 @@ def test_poses_are_those_of_the_images_and_face_their_places(made: CrossViewSet)
         assert row["condition"] == ("Sunny" if row["view"] == "satellite" else "Overcast")
 
 
+@pytest.mark.thorough
 def test_a_killed_build_goes_on_and_ends_with_the_same_bytes(made: CrossViewSet, tmp_path: Path) -> None:
     out = tmp_path / "out"
     shutil.copytree(made.root, out)
@@ -185,6 +189,7 @@ def test_a_killed_build_goes_on_and_ends_with_the_same_bytes(made: CrossViewSet,
     assert content(out) == content(made.root)
 
 
+@pytest.mark.thorough
 def test_a_finished_set_is_not_made_again_but_mended(made: CrossViewSet, tmp_path: Path) -> None:
     out = tmp_path / "out"
     shutil.copytree(made.root, out)
@@ -198,6 +203,7 @@ def test_a_finished_set_is_not_made_again_but_mended(made: CrossViewSet, tmp_pat
     assert content(out) == content(made.root)
 
 
+@pytest.mark.thorough
 def test_what_was_added_or_changed_is_noticed(made: CrossViewSet, tmp_path: Path) -> None:
     out = tmp_path / "out"
     shutil.copytree(made.root, out)
@@ -254,6 +260,7 @@ def test_more_places_than_the_towns_have_room_for_are_refused(tmp_path: Path) ->
         build(tmp_path / "o", places=90, distractors=0, towns=1)
 
 
+@pytest.mark.thorough
 def test_the_command_prints_what_it_made(made: CrossViewSet) -> None:
     given = [
         x for k, v in TINY.items() for x in (f"--{k.replace('_', '-')}", ",".join(v) if isinstance(v, tuple) else v)
@@ -265,6 +272,7 @@ def test_the_command_prints_what_it_made(made: CrossViewSet) -> None:
     assert read_image(made.root / "test/query_drone/5000/image-01.png").shape == (48, 48, 3)
 
 
+@pytest.mark.thorough
 def test_inspect_and_validate_know_the_set(made: CrossViewSet, tmp_path: Path) -> None:
     shown = relocbench("inspect", made.root, "--json")
     assert '"folder": "test/gallery_drone", "classes": 4, "images": 8' in shown.out

@@ -54,6 +54,7 @@ def contacts(seed: int, flanks: float, T: Array | None = None) -> Matches:
     return match_points(ref.level(0), query.sample(0), np.eye(4) if T is None else T)
 
 
+@pytest.mark.thorough
 def test_a_bare_wall_does_not_claim_to_know_the_way_along_it() -> None:
     met = contacts(1, flanks=0.0)
     plain = met.by_planes.T @ (met.weights[:, None] * met.by_planes)
@@ -72,6 +73,7 @@ def test_what_faces_along_the_street_still_counts_in_full() -> None:
     assert instrumented[0, 0] == pytest.approx(met.weights[facing].sum(), rel=0.05)
 
 
+@pytest.mark.thorough
 def test_the_step_leads_back_along_the_street() -> None:
     off = 0.03
     met = contacts(3, 1.0, se3_exp([off, 0.01, 0, 0, 0, 0]))
@@ -81,6 +83,7 @@ def test_the_step_leads_back_along_the_street() -> None:
     assert step[1] == pytest.approx(-0.01, abs=0.003)
 
 
+@pytest.mark.thorough
 def test_information_promises_what_the_steps_show() -> None:
     steps, variances = [], []
     for seed in range(40):
@@ -148,6 +151,7 @@ class Kept:
         return self.block
 
 
+@pytest.mark.thorough
 def test_parked_cars_that_moved_together_do_not_lift_a_block() -> None:
     fits = BlockFits(Kept(windscreens(0, 0.0)), Kept(windscreens(100, 0.11)))  # type: ignore[arg-type]
     T = np.eye(4)

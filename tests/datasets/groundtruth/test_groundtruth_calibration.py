@@ -69,6 +69,7 @@ def test_corrections_turn_and_shift_as_their_twists_say() -> None:
     assert not none.any()
 
 
+@pytest.mark.thorough
 def test_points_and_planes_are_corrected_about_where_the_rig_was() -> None:
     rng = np.random.default_rng(0)
     points, rigs, off = rng.normal(size=(5, 3)) * 10, rng.normal(size=(5, 3)), rng.normal(size=5)

@@ -106,6 +106,7 @@ def exact(rectangles: list[Rectangle], T_node_cam: Array = T_NODE_CAM) -> Floats
     return np.where(np.isfinite(nearest), nearest, 0).astype(np.float32)
 
 
+@pytest.mark.thorough
 def test_a_scanned_street_is_closed_and_exact() -> None:
     truth = exact([ROAD, END, LEFT])
     found = submap_depth(sampled([ROAD, END, LEFT]), CAMERA, T_CAM_NODE, DepthOptions(noise=EXACT))

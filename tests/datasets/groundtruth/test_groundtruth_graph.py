@@ -158,6 +158,7 @@ def test_information_that_promises_too_much_is_taken_down() -> None:
     assert 6.0 < solution.information_factor < 12.0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("metres", [pytest.param(5.0, marks=pytest.mark.thorough), 0.6])
 def test_a_run_that_agrees_with_itself_but_slid_along_the_street_is_left_out(metres: float) -> None:
     reference, query, found = two_drives(400.0, 7)
@@ -230,6 +231,7 @@ def road_driven_twice() -> tuple[Nodes, Drive, Drive, list[Registration], list[R
     return nodes, both, query, registrations(once, query, rng), second
 
 
+@pytest.mark.thorough
 def test_a_road_that_the_reference_drove_twice_is_closed_through_the_query() -> None:
     nodes, both, query, first, second = road_driven_twice()
     count = len(nodes) // 2
@@ -240,6 +242,7 @@ def test_a_road_that_the_reference_drove_twice_is_closed_through_the_query() -> 
             assert np.linalg.norm(true_error(both, query, i, j, solution.pose(i, j))[:3]) < 0.05
 
 
+@pytest.mark.thorough
 def test_blocks_meet_where_registrations_say_so_and_not_where_drift_puts_them() -> None:
     nodes, _, query, first, second = road_driven_twice()
     count = len(nodes) // 2

@@ -121,6 +121,7 @@ class Page(HTMLParser):
             self.cells.append(data)
 
 
+@pytest.mark.thorough
 def test_the_page_shows_every_picture_that_was_drawn(made: Dataset, drawn: Path) -> None:
     page = Page(drawn.read_text(encoding="utf-8"))
     there = sorted(str(p.relative_to(drawn.parent)) for p in drawn.parent.rglob("*.png"))

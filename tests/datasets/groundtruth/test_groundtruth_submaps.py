@@ -77,6 +77,7 @@ def test_nodes_lie_at_equal_arc_lengths(street: FieldRecording) -> None:
     assert np.all((begin < nodes.times_ns) & (nodes.times_ns < end))
 
 
+@pytest.mark.thorough
 def test_standing_still_makes_no_nodes_and_reads_no_scans(monkeypatch: pytest.MonkeyPatch) -> None:
     """Though odometry wobbles by 2 mm."""
     going = drive_street(Street(wobble=0.002))
@@ -246,6 +247,7 @@ def test_smallest_eigenvector_agrees_with_lapack() -> None:
             assert abs(np.dot(vector, vectors[:, 0])) == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.thorough
 def test_planes_of_the_street_are_exact(street: FieldRecording, built: tuple[Nodes, BlockStore]) -> None:
     nodes, store = built
     judged = 0
@@ -265,6 +267,7 @@ def test_planes_of_the_street_are_exact(street: FieldRecording, built: tuple[Nod
     assert judged > 20_000
 
 
+@pytest.mark.thorough
 def test_height_of_the_road_under_the_rig_is_found(street: FieldRecording, built: tuple[Nodes, BlockStore]) -> None:
     nodes, _ = built
     found = wheel_height(street, arc_length_along(street), nodes, BlockOptions())
@@ -304,6 +307,7 @@ def box_points(recording: FieldRecording, box: Box) -> tuple[Floats, Floats]:
     return np.concatenate(on), np.concatenate(off)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("speed", [-8.0, pytest.param(10.0, marks=pytest.mark.thorough)])
 def test_what_drove_on_is_unsteady_and_all_else_steady(speed: float) -> None:
     box = Box(20.0, speed) if speed < 0 else Box(-10.0, speed)
@@ -372,6 +376,7 @@ def test_blocks_made_otherwise_are_not_mixed(street: FieldRecording, tmp_path: P
         build_blocks(street, make_nodes(street, 3.0), tmp_path)
 
 
+@pytest.mark.thorough
 def test_empty_scans_make_empty_blocks(tmp_path: Path) -> None:
     recording = drive_street(Street(blind=True))
     nodes = make_nodes(recording)

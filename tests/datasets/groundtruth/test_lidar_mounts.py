@@ -65,6 +65,7 @@ def test_a_ceiling_is_no_road() -> None:
     assert road_height(-np.concatenate([high, floor])) == pytest.approx(1.5, abs=0.1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("words", list(MOUNTS)[::3])
 def test_blocks_are_put_as_the_right_extrinsics_would_have_them(words: str, tmp_path: Path) -> None:
     recording = drive_street(Street(length_m=4.0, sigma=0.01))

@@ -161,6 +161,7 @@ def street_with_windows(rng: np.random.Generator, at_m: float, turn: Array) -> C
     return Cloud("scan", points, np.zeros_like(points), supposed=True)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("yaw_deg", [-3.0, 1.8])
 def test_a_pose_that_is_two_periods_of_a_street_off_finds_the_right_one(yaw_deg: float) -> None:
     rng, turn = np.random.default_rng(1), make_transform(so3_exp([0, 0, np.radians(yaw_deg)]), np.zeros(3))

@@ -26,6 +26,7 @@ def recorded(out: Path, distorted: bool) -> Path:
     return out
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("distorted", [pytest.param(False, marks=pytest.mark.thorough), True])
 def test_scans_are_told_to_be_compensated_or_distorted(tmp_path: Path, distorted: bool) -> None:
     root = recorded(tmp_path, distorted)

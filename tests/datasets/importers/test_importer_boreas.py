@@ -62,6 +62,7 @@ def scans_named_by_their_start(folder: Path) -> None:
         path.rename(path.with_name(f"{int(path.stem) - 50_000}.bin"))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "spoil",
     [
@@ -102,6 +103,7 @@ def test_published_poses_of_a_standing_car_give_a_camera_that_looks_along_the_ro
     assert T_enu_lidar[2, 2] > 0.999
 
 
+@pytest.mark.thorough
 def test_odometry_is_the_best_there_is_and_lidar_without_poses(drives: list[StreetDrive], tmp_path: Path) -> None:
     folder = shutil.copytree(drives[0].folder, tmp_path / "boreas-2021-01-26-11-22")
     whole = read_boreas(folder, "a")
@@ -216,6 +218,7 @@ def read_all_scans(folder: Path) -> None:
         lidar.read(index)
 
 
+@pytest.mark.thorough
 def test_drives_are_brought_together_by_one_command(drives: list[StreetDrive], tmp_path: Path) -> None:
     out = tmp_path / "data set"
     outcome = relocbench("build-dataset", "boreas", *(d.folder for d in drives), "--out", out, "-j", 1, *SMALL)

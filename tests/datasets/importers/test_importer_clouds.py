@@ -262,6 +262,7 @@ def test_a_rate_numbers_clouds_in_the_order_that_people_count(drives: list[Stree
     np.testing.assert_allclose(lidar.read(10).points[:50], scans_of(drives[0])[10].points[:50])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("posed", [True, pytest.param(False, marks=pytest.mark.thorough)])
 def test_folders_with_a_camera_are_brought_together_by_one_command(
     drives: list[StreetDrive], tmp_path: Path, posed: bool

@@ -60,6 +60,7 @@ def test_a_cube_map_is_one_photograph_whose_queries_turn_and_zoom_exactly(tmp_pa
     assert len(focal) > 3
 
 
+@pytest.mark.thorough
 def test_the_views_of_a_place_are_in_one_split_in_whichever_folder_they_are(tmp_path: Path) -> None:
     cubes, streets = tmp_path / "cubes", tmp_path / "streets"
     for number, place in enumerate(("abbey", "minster", "quay")):
@@ -81,6 +82,7 @@ def test_the_views_of_a_place_are_in_one_split_in_whichever_folder_they_are(tmp_
     }
 
 
+@pytest.mark.thorough
 def test_views_of_cube_maps_depend_on_the_seed_and_on_nothing_else(tmp_path: Path) -> None:
     source = write_cube(tmp_path / "cubes", "square")
     options: dict[str, Any] = {"keyframes": 9, "viewpoint": "strong", "validation": 0}

@@ -82,6 +82,7 @@ def left_for_right(values: dict[str, Any]) -> None:
     values["transform"]["translation"]["y"] *= -1
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("sensor", "change"),
     [("camera_front_left", swapped_frames), ("lidar_red", swapped_frames), ("lidar_red", left_for_right)],
@@ -272,6 +273,7 @@ def test_logs_are_brought_together_by_one_command(drives: list[StreetDrive], log
     assert relocbench("validate", out).status == 0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

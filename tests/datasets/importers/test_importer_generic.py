@@ -241,6 +241,7 @@ def test_several_cameras_lie_in_subfolders_and_give_a_pair_set_each(tmp_path: Pa
     np.testing.assert_allclose(pair.T_query_ref, truth, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_worker_processes_give_the_same_dataset(tmp_path: Path) -> None:
     folder = write_folder(tmp_path, frames=3)
     options = importer.Options(correspondences=20)

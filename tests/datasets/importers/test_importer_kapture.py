@@ -553,6 +553,7 @@ def assert_same(kapture: Any, theirs: Any, ours: KaptureFolder) -> None:
     assert compared >= 2
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("part", ["mapping", "query"])
 def test_the_kapture_package_reads_the_same(kapture: Any, copy: Path, part: str) -> None:
     root = copy / part

@@ -137,6 +137,7 @@ def generic_drive(kitti: Path, sequence: str, folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("camera", ["none", pytest.param("cam0", marks=pytest.mark.thorough)])
 def test_generic_folders_with_lidar_are_brought_together(kitti_street: Path, tmp_path: Path, camera: str) -> None:
     names = {"00": "summer", "01": "winter"}
@@ -152,6 +153,7 @@ def test_generic_folders_with_lidar_are_brought_together(kitti_street: Path, tmp
     assert relocbench("validate", out).status == 0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "arguments", "place", "names"),
     [

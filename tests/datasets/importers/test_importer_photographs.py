@@ -48,6 +48,7 @@ def content(root: Path) -> Mapping[str, bytes]:
     return {str(p.relative_to(root)): p.read_bytes() for p in sorted(root.rglob("*")) if p.is_file()}
 
 
+@pytest.mark.thorough
 def test_a_dataset_of_photographs_is_valid_and_can_be_learnt_from(tmp_path: Path) -> None:
     source = write_photographs(tmp_path / "streets", 5)
     dataset = built([source], tmp_path / "set", licence="CC0-1.0", keyframes=2, changes=("none", "night"), test=0.2)
@@ -133,6 +134,7 @@ def test_another_photograph_beside_it_does_not_change_a_keyframe(tmp_path: Path)
     assert pictures.items() <= content(more.root).items()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "path",
     [

@@ -122,6 +122,7 @@ def test_spacing_thins_keyframes_and_queries_each_by_its_own_distance(drives: li
     assert way / 13 < len(pair_set.pairs) <= way / 8 + 1
 
 
+@pytest.mark.thorough
 def test_sigmas_of_pairs_follow_from_those_of_poses(drives: list[Path], tmp_path: Path) -> None:
     """Checked against pairs of poses that are wrong at random by as much."""
     (pair_set,) = built(tmp_path / "d", *drives, "--sigma", 0.02, "--sigma-rotation", 1.0).pair_sets()

@@ -72,6 +72,7 @@ def test_points_of_both_velodynes_are_where_the_camera_sees_surfaces(
         assert agrees(errors_of(drive, recording, "camera", 3, scene, lidar=lidar))
 
 
+@pytest.mark.thorough
 def test_extrinsics_the_other_way_round_show_in_the_depths(
     drive: StreetDrive, scene: LidarScene, folder: Path, tmp_path: Path
 ) -> None:

@@ -21,6 +21,7 @@ from relocbench.datasets.synthetic.conditions.condition import CONDITIONS
 from relocbench.errors import ConfigError, DatasetError
 
 
+@pytest.mark.thorough
 def test_poses_are_those_of_the_exact_truth_to_centimetres(
     robotcar_street: RobotCarStreet, robotcar_built: Built
 ) -> None:
@@ -33,6 +34,7 @@ def test_poses_are_those_of_the_exact_truth_to_centimetres(
     assert errors.rotation_error_deg.max() < 0.15
 
 
+@pytest.mark.thorough
 def test_every_pair_has_its_sigmas_or_its_reason(robotcar_street: RobotCarStreet, robotcar_built: Built) -> None:
     rows = robotcar_built.table(robotcar_street.pair_set)
     assert {row["source"] for row in rows} == {"lidar registration, pose graph"}
@@ -46,12 +48,14 @@ def test_every_pair_has_its_sigmas_or_its_reason(robotcar_street: RobotCarStreet
             assert row["reason"]
 
 
+@pytest.mark.thorough
 def test_the_dataset_has_no_fault(robotcar_built: Built) -> None:
     outcome = relocbench("validate", robotcar_built.root)
     assert outcome.status == 0, outcome.out + outcome.err
     assert "no fault" in outcome.out
 
 
+@pytest.mark.thorough
 def test_depth_is_that_of_the_surfaces(robotcar_street: RobotCarStreet, robotcar_built: Built) -> None:
     traversal = robotcar_built.dataset.traversal(robotcar_street.reference.name)
     truth, camera = robotcar_street.truth(robotcar_street.reference), traversal.camera("stereo_left")
@@ -71,6 +75,7 @@ def test_depth_is_that_of_the_surfaces(robotcar_street: RobotCarStreet, robotcar
     assert np.median(np.concatenate(wrong)) < 0.02
 
 
+@pytest.mark.thorough
 def test_correspondences_lie_where_the_exact_pose_puts_them(
     robotcar_street: RobotCarStreet, robotcar_built: Built
 ) -> None:
@@ -91,6 +96,7 @@ def test_correspondences_lie_where_the_exact_pose_puts_them(
     assert np.median(everything) < 0.3
 
 
+@pytest.mark.thorough
 def test_conditions_are_those_of_the_tags_and_the_table_of_drives(
     robotcar_street: RobotCarStreet, robotcar_built: Built
 ) -> None:
@@ -98,6 +104,7 @@ def test_conditions_are_those_of_the_tags_and_the_table_of_drives(
     assert found == ["sunny", "overcast"]
 
 
+@pytest.mark.thorough
 def test_what_is_noted_counts_pairs_and_compares_lidar_and_stereo(
     robotcar_street: RobotCarStreet, robotcar_built: Built
 ) -> None:
@@ -108,6 +115,7 @@ def test_what_is_noted_counts_pairs_and_compares_lidar_and_stereo(
     assert sum("stereo_right" in note for note in notes) == 2
 
 
+@pytest.mark.thorough
 def test_a_recording_is_not_written_to(robotcar_street: RobotCarStreet, robotcar_built: Built) -> None:
     started = (robotcar_built.root / "build.yaml").stat().st_mtime_ns
     everything = [p for p in robotcar_street.reference.folder.rglob("*") if p.is_file()]
@@ -115,6 +123,7 @@ def test_a_recording_is_not_written_to(robotcar_street: RobotCarStreet, robotcar
     assert all(p.stat().st_mtime_ns < started for p in everything)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("options", "changed", "names"),
     [

@@ -49,6 +49,7 @@ def build(out: Path, *arguments: object) -> Outcome:
     return relocbench("build-dataset", "rosbag", *arguments, "--out", out, "-j", 1, *SMALL)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("storage", STORAGES)
 def test_a_bag_holds_all_that_the_recording_told(
     storage: Storage, bags: dict[Storage, list[Path]], recordings: list[FieldRecording]
@@ -107,6 +108,7 @@ def test_bags_give_the_dataset_that_the_robotcar_layout_gives(built: Built, robo
     assert all(found[name] == value for name, value in pictures.items())
 
 
+@pytest.mark.thorough
 def test_bags_of_a_spinning_lidar_are_brought_together_by_one_command(
     drives: list[StreetDrive], tmp_path: Path
 ) -> None:
@@ -137,6 +139,7 @@ def test_a_build_continues_from_its_index_and_ends_with_the_same_bytes(
     assert hashes(out) == hashes(built.root)
 
 
+@pytest.mark.thorough
 def test_fixes_alone_give_a_prior_near_the_true_one(
     bags: dict[Storage, list[Path]], recordings: list[FieldRecording]
 ) -> None:

@@ -24,6 +24,7 @@ GAP_US = (2_000_000, 2_700_000)
 pytestmark = pytest.mark.thorough
 
 
+@pytest.mark.thorough
 def test_a_build_killed_twice_and_for_two_workers_ends_with_the_same_bytes(
     robotcar_street: RobotCarStreet, robotcar_built: Built, tmp_path: Path
 ) -> None:
@@ -61,6 +62,7 @@ def pose_words(drives: RobotCarStreet, built: Built, moved: Array) -> str:
     return " ".join(map(str, [pair.ref_timestamp_ns, pair.query_timestamp_ns, *t.tolist(), *q.tolist()]))
 
 
+@pytest.mark.thorough
 def test_limits_of_sigma_hold_and_a_right_first_pose_is_taken(
     robotcar_street: RobotCarStreet, robotcar_built: Built, tmp_path: Path
 ) -> None:

@@ -51,6 +51,7 @@ def clouds(draw: st.DrawFn) -> tuple[SimpleNamespace, dict[str, NDArray[Any]]]:
     return message, expected
 
 
+@pytest.mark.thorough
 @given(clouds())
 def test_every_layout_gives_the_values_that_are_at_its_offsets(made: tuple[SimpleNamespace, dict[str, Any]]) -> None:
     message, expected = made

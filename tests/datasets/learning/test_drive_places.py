@@ -30,6 +30,7 @@ def centre(dataset: Dataset, image: PlaceImage) -> np.ndarray:
     return np.asarray(dataset.traversal(traversal).T_world_cam(camera, int(Path(name).stem))[:3, 3])
 
 
+@pytest.mark.thorough
 def test_images_of_one_place_are_near_and_those_of_others_far(dataset: Dataset) -> None:
     data = drive_places(dataset.root, radius_m=0.25, apart_m=0.8)
     assert data.places > 1
@@ -46,6 +47,7 @@ def test_images_of_one_place_are_near_and_those_of_others_far(dataset: Dataset) 
     assert data.views == ("street",)
 
 
+@pytest.mark.thorough
 def test_one_place_for_all_that_stand_together(dataset: Dataset) -> None:
     data = drive_places(dataset.root, radius_m=25.0, apart_m=50.0)
     assert (data.places, len(data.images)) == (1, 2 * FRAMES)

@@ -88,6 +88,7 @@ def test_views_of_a_cube_map_differ_by_exactly_their_rotation_and_look_alike(see
     assert np.abs(stood - colours(rays @ keyframe.faces[3].R_face_ref.T)).max() < 2.5
 
 
+@pytest.mark.thorough
 def test_what_no_face_shows_is_black_without_depth_and_without_correspondences() -> None:
     lacking = 0
     for seed in range(12):

@@ -6,6 +6,7 @@ from typing import get_args
 
 import cv2
 import numpy as np
+import pytest
 
 from relocbench.arrays import Image
 from relocbench.datasets.moved_views.drawing import View, drawn_keyframe
@@ -41,6 +42,7 @@ def test_every_change_has_words_for_its_condition() -> None:
     assert set(WORDS) == set(get_args(Change))
 
 
+@pytest.mark.thorough
 def test_a_change_is_that_of_its_seed_changes_grey_values_and_moves_no_edge() -> None:
     image, sight = photograph(), street_sight()
     assert changed(image, "none", np.random.default_rng(0), street_sight) is image

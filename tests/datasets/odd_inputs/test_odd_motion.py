@@ -233,6 +233,7 @@ def write_kapture(root: Path, times: list[int], T_world_cam: Array) -> Path:
     return root
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("unit_ns", [1, 1000, 0])
 def test_kapture_with_real_times_is_judged_as_a_drive_and_with_numbers_is_not(unit_ns: int, tmp_path: Path) -> None:
     _, T = drive()

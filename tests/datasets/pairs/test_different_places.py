@@ -46,6 +46,7 @@ def made(seed: int, count: int, length_m: float = 100.0) -> tuple[PosedFrames, P
     return *frames, plain, pairs[len(plain) :]
 
 
+@pytest.mark.thorough
 @given(st.integers(0, 2**32), st.integers(1, 40))
 def test_they_are_far_apart_and_their_truth_is_known(seed: int, count: int) -> None:
     reference, query, plain, found = made(seed, count)

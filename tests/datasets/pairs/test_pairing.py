@@ -123,6 +123,7 @@ def brute_force(reference: Array, query: Array, distance: float, angle: float) -
     return found
 
 
+@pytest.mark.thorough
 @given(st.integers(0, 10_000), st.floats(0.1, 4.0), st.floats(5.0, 170.0))
 def test_the_nearest_rule_agrees_with_looking_at_all(seed: int, distance: float, angle: float) -> None:
     rng = np.random.default_rng(seed)

@@ -109,6 +109,7 @@ def stream(path: Path, **settings: object) -> GenericLidarStream:
     return GenericLidarStream("top", lidar, np.eye(4), (path,), np.array([10**18]))
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("case", REFUSED)
 def test_a_damaged_scan_is_refused_in_one_line_and_takes_little_memory(tmp_path: Path, case: str) -> None:

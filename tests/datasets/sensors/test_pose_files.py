@@ -74,6 +74,7 @@ def test_of_what_drives_straight_or_stands_no_order_is_told() -> None:
     assert likely_order(straight, "wxyz") == "wxyz"
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not REAL.is_dir(), reason=f"no real trajectories at {REAL}")
 def test_the_order_of_real_trajectories_is_found() -> None:
     files = sorted(REAL.glob("*.txt"))

@@ -161,6 +161,7 @@ def test_lidars_are_where_they_were_simulated(drives: Path, recordings: list[Fie
             np.testing.assert_allclose(T_town_rig @ lidar.T_rig_lidar, expected, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_beams_are_fired_one_after_another_about_the_time_of_the_scan(recordings: list[FieldRecording]) -> None:
     lidar = recordings[0].lidars[0]
     scan = lidar.read(10)
@@ -170,6 +171,7 @@ def test_beams_are_fired_one_after_another_about_the_time_of_the_scan(recordings
     assert np.linalg.norm(scan.points, axis=1).min() > 0.4
 
 
+@pytest.mark.thorough
 def test_visual_odometry_drifts_as_little_as_it_was_simulated_to(
     drives: Path, recordings: list[FieldRecording]
 ) -> None:
@@ -187,6 +189,7 @@ def test_visual_odometry_drifts_as_little_as_it_was_simulated_to(
         np.testing.assert_allclose(T_odom_rig[0], np.eye(4), atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_gnss_puts_all_drives_into_one_map_within_metres(drives: Path, recordings: list[FieldRecording]) -> None:
     offsets = []
     for recording in recordings:
@@ -203,6 +206,7 @@ def test_gnss_puts_all_drives_into_one_map_within_metres(drives: Path, recording
     assert np.abs(offsets[0] - offsets[1]).max() < 0.5
 
 
+@pytest.mark.thorough
 def test_conditions_and_streams_survive_pickling(recordings: list[FieldRecording]) -> None:
     assert [r.condition.weather for r in recordings] == ["sunny", "overcast"]
     lidar = recordings[0].lidars[0]
@@ -210,6 +214,7 @@ def test_conditions_and_streams_survive_pickling(recordings: list[FieldRecording
     np.testing.assert_array_equal(copy.read(3).points, lidar.read(3).points)
 
 
+@pytest.mark.thorough
 def test_a_simulated_drives_condition_is_named_beside_it_and_its_date_means_nothing(copied: Path) -> None:
     assert read_robotcar(copied).condition.season == "spring"
     (copied.parent / "drives.csv").write_text(f"name,condition\n{copied.name},Sunny\n")
@@ -217,6 +222,7 @@ def test_a_simulated_drives_condition_is_named_beside_it_and_its_date_means_noth
     assert (condition.season, condition.tags) == ("unknown", ("Sunny",))
 
 
+@pytest.mark.thorough
 def test_ins_can_stand_in_for_odometry(drives: Path, recordings: list[FieldRecording]) -> None:
     folder = recordings[0].folder
     found = read_robotcar(folder, odometry="ins").odometry
@@ -237,6 +243,7 @@ def scan_file(folder: Path, index: int) -> Path:
     return sorted((folder / "lms_front").iterdir())[index]
 
 
+@pytest.mark.thorough
 def test_missing_scans_are_left_out_and_counted(copied: Path) -> None:
     gone = scan_file(copied, 5)
     gone.unlink()
@@ -246,6 +253,7 @@ def test_missing_scans_are_left_out_and_counted(copied: Path) -> None:
     assert any(note.startswith(f"1 of {len(lidar.times_ns) + 1} scans") for note in notes.notes)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", [0, 1000])
 def test_a_scan_that_is_cut_off_is_named_before_any_work(copied: Path, size: int) -> None:
     path = scan_file(copied, 5)
@@ -254,6 +262,7 @@ def test_a_scan_that_is_cut_off_is_named_before_any_work(copied: Path, size: int
         read_robotcar(copied)
 
 
+@pytest.mark.thorough
 def test_a_scan_with_a_value_that_is_not_finite_is_named(copied: Path) -> None:
     values = np.fromfile(scan_file(copied, 5))
     values[30] = np.nan
@@ -262,11 +271,13 @@ def test_a_scan_with_a_value_that_is_not_finite_is_named(copied: Path) -> None:
         read_robotcar(copied).lidars[0].read(5)
 
 
+@pytest.mark.thorough
 def test_a_scan_without_returns_is_empty(copied: Path) -> None:
     np.zeros(541 * 3).tofile(scan_file(copied, 5))
     assert read_robotcar(copied).lidars[0].read(5).points.shape == (0, 3)
 
 
+@pytest.mark.thorough
 def test_a_scan_that_left_out_beams_gets_its_times_from_their_azimuth(copied: Path) -> None:
     before = read_robotcar(copied).lidars[0].read(5)
     values = np.fromfile(scan_file(copied, 5)).reshape(-1, 3)
@@ -276,6 +287,7 @@ def test_a_scan_that_left_out_beams_gets_its_times_from_their_azimuth(copied: Pa
     np.testing.assert_allclose(after.times_ns, before.times_ns, atol=1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("gone", "message"),
     [
@@ -294,6 +306,7 @@ def test_what_is_needed_and_missing_is_named(copied: Path, gone: str, message: E
         read_robotcar(copied)
 
 
+@pytest.mark.thorough
 def test_without_gnss_there_is_no_prior_and_it_is_said(copied: Path) -> None:
     (copied / "gps" / "ins.csv").unlink()
     notes = Notes()
@@ -301,6 +314,7 @@ def test_without_gnss_there_is_no_prior_and_it_is_said(copied: Path) -> None:
     assert any("without GNSS" in note for note in notes.notes)
 
 
+@pytest.mark.thorough
 def test_an_unknown_lidar_or_camera_is_named(copied: Path) -> None:
     with refused(ConfigError, "", None, "lms_top"):
         read_robotcar(copied, lidars=["lms_top"])
@@ -338,6 +352,7 @@ def picture(size: tuple[int, int]) -> Image:
     return np.stack([60 + u, 200 - u, 40 + u // 2 + v], axis=-1).astype(np.uint8)
 
 
+@pytest.mark.thorough
 def test_cameras_are_where_they_were_simulated(filmed: tuple[Path, robotcar_layout.RobotCarLayout]) -> None:
     folder, layout = filmed
     found = read_robotcar(folder).cameras
@@ -350,6 +365,7 @@ def test_cameras_are_where_they_were_simulated(filmed: tuple[Path, robotcar_layo
         assert stream.times_ns.tolist() == layout.times[name].tolist()
 
 
+@pytest.mark.thorough
 def test_images_are_developed_to_their_colours(filmed: tuple[Path, robotcar_layout.RobotCarLayout]) -> None:
     """Stereo mosaics begin with GB/RG, mono ones with RG/GB; taken for another one, red would be blue."""
     for stream in read_robotcar(filmed[0]).cameras.values():
@@ -358,6 +374,7 @@ def test_images_are_developed_to_their_colours(filmed: tuple[Path, robotcar_layo
         assert stream.file(0) is None
 
 
+@pytest.mark.thorough
 def test_the_look_up_table_says_where_pixels_come_from(
     filmed: tuple[Path, robotcar_layout.RobotCarLayout], tmp_path: Path
 ) -> None:
@@ -376,6 +393,7 @@ def test_the_look_up_table_says_where_pixels_come_from(
         replace(stream, look_up_table=short).read(0)
 
 
+@pytest.mark.thorough
 def test_the_published_centre_lens_stands_between_the_others(real_data: Any, copied: Path) -> None:
     """The narrow models count from the centre lens: taken at its word, it would stand where the left one does."""
     models = real_data("robotcar_sdk_calibration") / "models"

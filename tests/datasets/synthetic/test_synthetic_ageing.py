@@ -49,6 +49,7 @@ def pieces(mesh: Mesh) -> set[bytes]:
     return {row.tobytes() for row in np.hstack([corners, looks.view(np.uint8)])}
 
 
+@pytest.mark.thorough
 def test_a_new_street_is_what_was_built_and_nothing_else(district: District) -> None:
     mesh = compose(district, Factors(parked_share=0.0))
     assert pieces(mesh) == pieces(district.static) | pieces(district.foliage)
@@ -57,6 +58,7 @@ def test_a_new_street_is_what_was_built_and_nothing_else(district: District) -> 
     assert synthetic.Options(months=3).recorded()["months"] == 3
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("earlier", "later"), [(0.5, 6.0), (6.0, 12.0), (12.0, 24.0)])
 def test_what_has_changed_stays_changed(district: District, earlier: float, later: float) -> None:
     inventory = district.inventory
@@ -71,6 +73,7 @@ def test_what_has_changed_stays_changed(district: District, earlier: float, late
     assert not np.any(inventory.out_of_use(earlier) & ~inventory.out_of_use(later))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("change", Change)
 def test_shares_follow_their_law(district: District, change: Change) -> None:
     course = COURSES[change]
@@ -80,6 +83,7 @@ def test_shares_follow_their_law(district: District, change: Change) -> None:
         assert share == pytest.approx(expected, abs=0.01)
 
 
+@pytest.mark.thorough
 def test_nothing_that_came_stands_in_a_lane(district: District, came: Mesh) -> None:
     points = came.vertices[came.triangles[came.semantic != Semantic.ROAD]].reshape(-1, 3)
     network = district.network
@@ -90,6 +94,7 @@ def test_nothing_that_came_stands_in_a_lane(district: District, came: Mesh) -> N
         assert not np.any((along > 12) & (along < length - 12) & (across < LANE_M))
 
 
+@pytest.mark.thorough
 def test_nothing_floats(came: Mesh) -> None:
     for name in np.unique(came.instance[came.instance > 0]):
         lowest = came.vertices[came.triangles[came.instance == name], 2].min()
@@ -127,6 +132,7 @@ def seen(factors: Factors, T_world_cam: Array) -> tuple[Array, Frame, Mask]:
     return (origins + distance[:, None] * directions).reshape(*shape, 3), frame, walls
 
 
+@pytest.mark.thorough
 def test_a_repainted_wall_is_visible_and_marked_as_changed(district: District) -> None:
     inventory, checked = district.inventory, 0
     numbers, rows = inventory._numbers
@@ -150,6 +156,7 @@ def test_a_repainted_wall_is_visible_and_marked_as_changed(district: District) -
     assert checked >= 2
 
 
+@pytest.mark.thorough
 def test_points_on_a_felled_tree_are_not_visible(district: District) -> None:
     trees, checked = district.inventory.trees, 0
     felled = district.inventory.happened(Change.FELLED, len(trees.names), 24.0)
@@ -169,6 +176,7 @@ def test_points_on_a_felled_tree_are_not_visible(district: District) -> None:
     assert checked >= 2
 
 
+@pytest.mark.thorough
 def test_a_scaffold_hides_the_wall_behind_it(district: District, came: Mesh) -> None:
     """The truth casts its rays into the street of each traversal."""
     numbers, rows = district.inventory._numbers
@@ -188,6 +196,7 @@ def test_a_scaffold_hides_the_wall_behind_it(district: District, came: Mesh) -> 
     assert checked >= 2
 
 
+@pytest.mark.thorough
 def test_cars_are_parked_anew_and_never_in_works(district: District) -> None:
     def parked(months: float) -> Mesh:
         mesh = compose(district, Factors(months=months, parked_share=1.0, foliage=0.0))

@@ -184,6 +184,7 @@ def test_bicycles_ride_at_the_right_hand_edge_of_their_lanes() -> None:
     assert places == {(True, -1.15), (False, 3.2 + 1.15)}
 
 
+@pytest.mark.thorough
 def test_people_walk_on_pavements_elsewhere_in_each_drive_and_as_many_as_the_factor_says() -> None:
     footpaths = scenes.district(PLACE).footpaths
     pose = scenes.district(PLACE).network.drive(100.0, 0).pose(40.0)
@@ -211,6 +212,7 @@ def test_people_walk_on_pavements_elsewhere_in_each_drive_and_as_many_as_the_fac
     assert max(moved) > 2.0  # in 2.9 s
 
 
+@pytest.mark.thorough
 def test_the_smoke_preset_is_a_sound_dataset_with_labelled_conditions(town: Dataset) -> None:
     assert town.traversal_names == [REFERENCE, QUERY]
     assert town.traversal(QUERY).condition == condition_named("WetNoon").label

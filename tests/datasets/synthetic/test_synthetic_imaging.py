@@ -79,6 +79,7 @@ def test_without_the_option_the_recipe_is_that_of_before(ideal: Dataset) -> None
     assert hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest() == BEFORE
 
 
+@pytest.mark.thorough
 def test_without_the_option_no_effect_is_called(
     tmp_path: Path, ideal: Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -89,6 +90,7 @@ def test_without_the_option_no_effect_is_called(
     assert files(again) == files(ideal)
 
 
+@pytest.mark.thorough
 def test_only_images_change(ideal: Dataset, varied: Dataset) -> None:
     before, after = files(ideal), files(varied)
     assert before.keys() == after.keys()
@@ -133,6 +135,7 @@ def test_the_camera_of_a_drive_depends_on_the_seed_and_not_on_what_else_is_built
     assert everything["test-Night-0"].exposure_ms >= 8
 
 
+@pytest.mark.thorough
 def test_a_frame_alone_in_another_process_has_the_same_bytes(varied: Dataset, tmp_path: Path) -> None:
     """The unit of work as another process unpickles it, for the last frame only."""
     conditions = conditions_of(("Neutral",), {}, None, 2)

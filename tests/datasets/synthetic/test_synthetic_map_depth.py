@@ -190,6 +190,7 @@ def files(dataset: Dataset) -> Mapping[str, bytes]:
     return {str(p.relative_to(root)): p.read_bytes() for p in root.rglob("*") if p.is_file()}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "workers"), [("points", 1), *(pytest.param(kind, 2, marks=pytest.mark.thorough) for kind in EVERY)]
 )

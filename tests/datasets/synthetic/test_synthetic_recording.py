@@ -83,6 +83,7 @@ SENSORS = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_every_sensor_has_a_file_for_each_of_its_timestamps(reading: RobotCarReading, sensor: str) -> None:
     folders, period_us = SENSORS[sensor]
@@ -94,6 +95,7 @@ def test_every_sensor_has_a_file_for_each_of_its_timestamps(reading: RobotCarRea
         assert list(reading.files(folder, ".bin" if "lms" in sensor else ".png")) == list(stamps)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("camera", "size"), [("stereo/left", (128, 96)), ("mono_rear", (102, 102))])
 def test_images_are_eight_bit_mosaics(reading: RobotCarReading, camera: str, size: tuple[int, int]) -> None:
     for path in reading.files(camera, ".png").values():
@@ -112,6 +114,7 @@ def test_opencv_restores_the_colours_of_a_mosaic(pattern: str, code: int) -> Non
     assert np.abs(restored - rgb)[2:-2, 2:-2].max() <= 1
 
 
+@pytest.mark.thorough
 def test_recorded_mosaics_hold_the_rendered_colours(reading: RobotCarReading, truth: Truth) -> None:
     for camera, code in (("stereo/right", cv2.COLOR_BayerGBRG2RGB), ("mono_left", cv2.COLOR_BayerRGGB2RGB)):
         stamp, path = next(iter(reading.files(camera, ".png").items()))
@@ -130,6 +133,7 @@ def test_recorded_mosaics_hold_the_rendered_colours(reading: RobotCarReading, tr
         assert swapped > 3 * right
 
 
+@pytest.mark.thorough
 def test_scans_hold_541_beams_half_a_degree_apart(reading: RobotCarReading) -> None:
     angles = np.radians(np.linspace(-135, 135, 541))
     for sensor in ("lms_front", "lms_rear"):
@@ -155,6 +159,7 @@ def nearest_surface(points: Array) -> Array:
     return out
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("sensor", ["lms_front", "lms_rear"])
 def test_scans_lie_on_the_street_by_the_files_calibration_and_the_true_poses(
     reading: RobotCarReading, truth: Truth, sensor: str
@@ -177,6 +182,7 @@ def test_scans_lie_on_the_street_by_the_files_calibration_and_the_true_poses(
     assert np.median(error) < 0.012
 
 
+@pytest.mark.thorough
 def test_cars_of_the_traffic_stand_in_the_scans_at_their_own_places(
     reading: RobotCarReading, truth: Truth, robotcar: Recorded
 ) -> None:
@@ -199,6 +205,7 @@ def test_cars_of_the_traffic_stand_in_the_scans_at_their_own_places(
     assert near > 20
 
 
+@pytest.mark.thorough
 def test_model_files_place_the_cameras_where_the_truth_has_them(reading: RobotCarReading, truth: Truth) -> None:
     _, left_image = reading.model("stereo_wide_left")
     T_rig_vehicle = truth.T_rig["stereo/left"] @ invert(left_image)
@@ -224,6 +231,7 @@ def test_model_files_place_the_cameras_where_the_truth_has_them(reading: RobotCa
     assert truth.T_rig["mono_left"][1, 3] > truth.T_rig["mono_right"][1, 3] + 1
 
 
+@pytest.mark.thorough
 def test_look_up_tables_lead_to_the_pixel_that_sees_the_same_ray(reading: RobotCarReading) -> None:
     for model, recorded in (
         ("stereo_wide_left", "stereo_wide_left"),
@@ -256,6 +264,7 @@ def test_calibration_is_that_of_the_real_car(real_data: Callable[[str], Path]) -
         assert set(tags(condition.factors)) <= words
 
 
+@pytest.mark.thorough
 def test_tags_are_a_list_of_the_datasets_words(reading: RobotCarReading, robotcar: Recorded) -> None:
     assert yaml.safe_load((reading.root / "tags" / f"{robotcar.name}.yaml").read_text()) == ["sun"]
     assert tags(CONDITIONS["Snow"].factors) == ["overcast", "snow"]
@@ -316,6 +325,7 @@ def test_exact_odometry_written_and_read_integrates_to_the_truth() -> None:
     assert [(later, earlier) for later, earlier, _ in steps[:2]] == [(62_500, 0), (125_000, 62_500)]
 
 
+@pytest.mark.thorough
 def test_recorded_odometry_follows_the_car(reading: RobotCarReading, truth: Truth) -> None:
     steps = read_vo(reading.table("vo/vo.csv"))
     _, left_image = reading.model("stereo_wide_left")
@@ -347,6 +357,7 @@ def ins_errors(root: Path, recorded: Recorded) -> tuple[Array, Array]:
     return np.array(positions), np.array(angles)
 
 
+@pytest.mark.thorough
 def test_the_ins_is_off_by_metres_that_hold_for_a_drive_and_differ_between_drives(
     robotcar: Recorded, tmp_path: Path
 ) -> None:
@@ -360,6 +371,7 @@ def test_the_ins_is_off_by_metres_that_hold_for_a_drive_and_differ_between_drive
     assert angles.std() < 1e-5
 
 
+@pytest.mark.thorough
 def test_ins_rows_agree_with_themselves(reading: RobotCarReading) -> None:
     rows = reading.table("gps/ins.csv")
     assert ",".join(rows[0]) == (
@@ -413,6 +425,7 @@ def test_the_grid_is_conformal_away_from_the_central_meridian() -> None:
     assert abs(north @ east) < 1e-6 * 100**2
 
 
+@pytest.mark.thorough
 def test_splines_pass_through_the_drive_and_change_speed_steadily(truth: Truth) -> None:
     np.testing.assert_array_equal(np.diff(truth.times), 10_000_000)
     speed = np.linalg.norm(np.diff(truth.poses[:, :3, 3], axis=0), axis=1) * 100
@@ -467,6 +480,7 @@ def test_the_kitti_importer_reads_a_recording_and_agrees_with_the_truth(
     assert np.median(np.abs(error)) < typical_m
 
 
+@pytest.mark.thorough
 def test_the_poses_of_a_kitti_sequence_are_those_of_a_gnss_in_a_world_of_their_own(sequence: Recorded) -> None:
     def read(path: Path) -> Array:
         rows = [[*map(float, line.split()), 0, 0, 0, 1] for line in path.read_text().splitlines()]

@@ -139,6 +139,7 @@ def by_hand(mesh: Mesh, camera: Camera, T_world_cam: Array) -> tuple[Array, Indi
     return np.where(np.isfinite(depth), depth, 0).reshape(shape), which.reshape(shape)
 
 
+@pytest.mark.thorough
 def test_depth_normals_and_objects_are_those_of_a_ray_cast_by_hand() -> None:
     mesh, T = street(), pose(yaw=0.21, pitch=-0.13)
     frame = shot(T)
@@ -157,6 +158,7 @@ def test_depth_normals_and_objects_are_those_of_a_ray_cast_by_hand() -> None:
     assert set(np.unique(frame.instance)) == {ROAD, WALL, BLOCK}
 
 
+@pytest.mark.thorough
 def test_depth_of_a_grazed_road_is_exact_far_away() -> None:
     T = pose(z=0.4, pitch=0.0, yaw=0.0)
     frame, camera_rows = shot(T), np.arange(SIZE)
@@ -342,6 +344,7 @@ def test_a_moving_car_darkens_the_road_under_it_and_leaves_the_rest_of_the_light
     assert not (changed & far & shown & (after.depth > 0)).any()
 
 
+@pytest.mark.thorough
 def test_edges_are_smooth() -> None:
     overcast: Changes = {"cloud_cover": 1.0, "gamma": 1.0}
     frame, reference = shot(**overcast), shot(camera=CAMERA.scaled(8), **overcast)
@@ -353,6 +356,7 @@ def test_edges_are_smooth() -> None:
     assert error.mean() < 0.6 * nearest.mean()
 
 
+@pytest.mark.thorough
 def test_noise_has_the_stated_deviation() -> None:
     flat: Changes = {"cloud_cover": 1.0, "sun_elevation_deg": 60.0}
     clean = shot(**flat)
@@ -384,6 +388,7 @@ def test_only_a_pinhole_camera_is_rendered() -> None:
         renderer().render(fisheye, pose(), 0)
 
 
+@pytest.mark.thorough
 def test_a_row_of_lamps_lights_the_road_as_town_streets_are_lit() -> None:
     # Posts every 23 m on both sides of a road 7 m wide; EN 13201-2, classes C4 to C1: 10 to 30 lx, uniformity 0.4.
     x = np.arange(-92.0, 93.0, 23.0)

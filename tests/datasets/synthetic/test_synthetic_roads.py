@@ -35,6 +35,7 @@ def weights(shape: Shape, points: Array) -> Array:
     return np.concatenate([1 - second.sum(axis=2, keepdims=True), second], axis=2)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("lateral_m", [0.0, LANE_M, 1.9 - LANE_M])
 def test_a_street_is_covered_once_and_knows_how_far_its_centre_line_is(
     district: District, asphalt: Shape, lateral_m: float
@@ -50,6 +51,7 @@ def test_a_street_is_covered_once_and_knows_how_far_its_centre_line_is(
     assert np.median(np.abs(np.abs(v) - expected)) < 0.02  # drives turn at crossings and cut bends a little
 
 
+@pytest.mark.thorough
 def test_the_dashes_of_centre_lines_lie_on_them_and_stop_lines_across_a_lane(district: District) -> None:
     mesh = district.static
     paint = mesh.uv[(mesh.semantic == Semantic.MARKING) & (mesh.material == Material.LANE_MARKING)]

@@ -64,6 +64,7 @@ def test_negative_pairs_are_refused_where_their_images_would_be_in_no_other_pair
         Options.model_validate({**SMALL, "elsewhere": 2, "elsewhere_distance": 20.0, **chosen})
 
 
+@pytest.mark.thorough
 def test_the_repeating_street_is_where_its_houses_are() -> None:
     place = DistrictSpec(3, "validation", 190.0)
     district = scenes.district(place)
@@ -109,6 +110,7 @@ def made(out: Path, **options: object) -> Dataset:
     return build([], Options(**{**SMALL, **options}), out, Silent(), Run(1))
 
 
+@pytest.mark.thorough
 def test_a_set_of_a_tier_holds_some_of_the_pairs_that_it_would_hold_anyway(tmp_path: Path) -> None:
     every_pair: dict[str, object] = {
         "conditions": ("Sunny",), "traversals": 2, "distance": 4.0, "max_distance": 12.0,
@@ -145,6 +147,7 @@ def test_a_set_without_any_pair_of_the_tier_leaves_no_file(tmp_path: Path, monke
     assert tree_bytes(dataset.root) == before
 
 
+@pytest.mark.thorough
 def test_a_street_that_leaves_no_pair_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def everywhere(_place: DistrictSpec, T_world_cam: Array) -> Mask:
         return np.ones(len(T_world_cam), dtype=np.bool_)

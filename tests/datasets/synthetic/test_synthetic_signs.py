@@ -43,6 +43,7 @@ def likeness(a: Array, b: Floats) -> float:
     return abs(float(np.corrcoef(a.ravel(), b.ravel())[0, 1]))
 
 
+@pytest.mark.thorough
 def test_a_board_shows_one_word_upright_and_not_mirrored() -> None:
     around = Renderer(board(0), CLEAR, np.zeros((0, 3)), SEED).surroundings
     T_world_cam = np.array([[1.0, 0, 0, 0], [0, 0, 1, -4], [0, -1, 0, 5], [0, 0, 0, 1]])

@@ -92,6 +92,7 @@ def test_noise_looks_the_same_on_the_borders_of_tiles(layer: int) -> None:
         np.testing.assert_allclose(left, right, atol=1.0 / 64)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "material", [m for m in PERIODIC if PATTERNS.laying[m, 0] > 0], ids=lambda material: material.name
 )

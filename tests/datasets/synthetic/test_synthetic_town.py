@@ -193,6 +193,7 @@ def test_a_district_has_the_promised_size_and_everything_a_street_has(district: 
     assert np.isfinite(whole.uv).all()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("months", [0.0, 24.0])
 def test_every_object_has_one_number_and_one_class(district: District, months: float) -> None:
     whole = compose(district, Factors(months=months))
@@ -302,6 +303,7 @@ def test_land_rises_behind_the_town_but_hides_the_sun_from_no_street(district: D
     assert np.linalg.norm(woods[..., :2], axis=2).min() > beyond
 
 
+@pytest.mark.thorough
 def test_houses_of_the_street_that_repeats_are_alike_and_others_differ(district: District) -> None:
     """By the shape and look of their fronts, in the house's own frame."""
     alike: dict[tuple[bytes, bytes], int] = {}

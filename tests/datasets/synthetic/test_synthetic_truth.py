@@ -55,6 +55,7 @@ def triangles(corners: np.ndarray) -> Mesh:
     )
 
 
+@pytest.mark.thorough
 def test_the_independent_rays_hit_what_a_plane_equation_says() -> None:
     """Triangles all around the camera, also across its own plane, against solving each for plane and edges."""
     rng = np.random.default_rng(0)

@@ -151,6 +151,7 @@ def around(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return Dataset(out)
 
 
+@pytest.mark.thorough
 def test_what_the_rear_camera_has_seen_the_front_camera_sees_on_the_way_back(around: Dataset) -> None:
     assert relocbench("validate", around.root, "--quiet").status == 0
     back = [s for s in around.pair_sets() if s.query == "test-Neutral-return-0"]
@@ -166,6 +167,7 @@ def test_what_the_rear_camera_has_seen_the_front_camera_sees_on_the_way_back(aro
                 assert pair_set.reference_camera == pair_set.query_camera
 
 
+@pytest.mark.thorough
 def test_truth_across_cameras_agrees_with_the_depth_of_both(around: Dataset) -> None:
     apart = []
     for pair_set in around.pair_sets():

@@ -59,6 +59,7 @@ def varied(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return build(tmp_path_factory.mktemp("views") / "out", views="varied", extras=("normals", "changed"))
 
 
+@pytest.mark.thorough
 def test_each_traversal_states_its_own_camera_and_the_reference_the_plain_one(varied: Dataset) -> None:
     recipe = yaml.safe_load((varied.root / "build.yaml").read_text(encoding="utf-8"))
     assert recipe["options"]["views"] == "varied"
@@ -152,6 +153,7 @@ def test_a_view_moves_all_cameras_of_a_rig_as_one_body() -> None:
     )
 
 
+@pytest.mark.thorough
 def test_a_frame_alone_in_another_process_has_the_same_bytes(varied: Dataset, tmp_path: Path) -> None:
     """The unit of work as another process unpickles it, for the last frame only."""
     conditions = conditions_of(("Neutral",), {}, None, 2)

@@ -106,6 +106,7 @@ def test_who_looks_elsewhere_finds_nothing(asked: dict[str, MethodResults], labe
     assert asked[label].run_record().isolated is True
 
 
+@pytest.mark.thorough
 def test_who_knows_where_the_truth_lies_on_the_disk_finds_nothing_there(
     asked: dict[str, MethodResults], dataset: Dataset, tmp_path: Path
 ) -> None:
@@ -118,6 +119,7 @@ def test_who_knows_where_the_truth_lies_on_the_disk_finds_nothing_there(
     assert cheat.run_record().sandbox == NONE
 
 
+@pytest.mark.thorough
 def test_nowhere_is_a_method_made_where_the_truth_can_be_read(tmp_path: Path) -> None:
     if working_sandbox() == NONE:
         pytest.skip("no sandbox works on this system: the disk can be read")
@@ -127,6 +129,7 @@ def test_nowhere_is_a_method_made_where_the_truth_can_be_read(tmp_path: Path) ->
     assert set((tmp_path / "diary").read_text().split()) == {"0"}
 
 
+@pytest.mark.thorough
 def test_a_module_that_changes_the_evaluator_when_it_is_imported_changes_nothing(
     asked: dict[str, MethodResults], dataset: Dataset, tmp_path: Path
 ) -> None:
@@ -142,6 +145,7 @@ def test_a_run_in_the_evaluators_process_says_so(dataset: Dataset, tmp_path: Pat
     assert cheat.run_record().isolated is False
 
 
+@pytest.mark.thorough
 def test_a_run_of_which_a_part_was_not_isolated_says_so(dataset: Dataset, tmp_path: Path) -> None:
     everything = {"pair_sets": (), "set": ("raises_at=0", f"log={tmp_path / 'log'}")}
     evaluate(dataset, tmp_path, "mixed=trackers_for_tests:Logging", workers=0, **{**everything, "pair_sets": (ACROSS,)})
@@ -174,6 +178,7 @@ def test_the_order_is_drawn_from_the_seed_and_the_dataset(dataset: Dataset, tmp_
     assert sorted(order(0)) == sorted(keys) == order(0, times=True), "who says that it uses times gets them in order"
 
 
+@pytest.mark.thorough
 def test_who_writes_to_its_input_spoils_nothing_for_the_next(
     dataset: Dataset, asked: dict[str, MethodResults], tmp_path: Path
 ) -> None:
@@ -192,6 +197,7 @@ def test_seconds_are_measured_where_the_method_cannot_reach(asked: dict[str, Met
     assert min(answer.seconds or 0 for answer in answers(asked["stopwatch"])) >= 0.05
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("how", [pytest.param("pickle", marks=pytest.mark.thorough), "early"])
 def test_a_process_that_sends_no_answer_costs_its_pairs_and_later_methods_run(tmp_path: Path, how: str) -> None:
     few = make_small_dataset(tmp_path / "few", pairs=2)
@@ -218,6 +224,7 @@ def test_nothing_that_a_process_may_send_is_taken_for_an_answer(how: str) -> Non
         assert ({answer.status for answer in as_answers(words, arrays, 1)} == {"error"}) is (how != "early")
 
 
+@pytest.mark.thorough
 def test_a_method_is_not_given_the_path_of_the_dataset(dataset: Dataset, tmp_path: Path) -> None:
     for path in (dataset.root, dataset.root / "pairs", dataset.root.parent / "." / dataset.root.name):
         with refused(MethodError, "", None, "cheat", "weights", "evaluated dataset"):
@@ -270,6 +277,7 @@ def test_a_program_is_not_given_the_path_of_the_dataset(dataset: Dataset) -> Non
         check_blind([spec], dataset.root)
 
 
+@pytest.mark.thorough
 def test_the_other_evaluations_do_not_give_it_either(dataset: Dataset, tmp_path: Path) -> None:
     views = make_small_views(tmp_path / "views")
     some_file = next(path for path in sorted(views.rglob("*")) if path.is_file())
@@ -308,6 +316,7 @@ def test_other_paths_and_words_are_taken(dataset: Dataset, tmp_path: Path, monke
         check_blind(parse_methods(["m=trackers_for_tests:Required"], [f"weights={word!s}"]), dataset.root)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["PathReader", "KeyGuesser"])
 def test_retrievers_find_neither_files_nor_names(tmp_path: Path, name: str) -> None:
     views = make_small_views(tmp_path / "views")
@@ -333,6 +342,7 @@ def test_keys_without_a_salt_would_be_guessed(tmp_path: Path) -> None:
     assert guesser.info["found"] == sorted(view.key for view in queries)
 
 
+@pytest.mark.thorough
 def test_frames_around_keyframes_are_shown_only_where_no_set_asks_their_drive(dataset: Dataset, tmp_path: Path) -> None:
     alone = make_small_dataset(tmp_path / "alone", frames=8, within=False)
     for of, name, shown in ((alone, ACROSS, True), (dataset, ACROSS, False), (dataset, WITHIN, False)):
@@ -344,6 +354,7 @@ def test_frames_around_keyframes_are_shown_only_where_no_set_asks_their_drive(da
     assert "100 on each side" in told["says how many neighbours it wants"].detail
 
 
+@pytest.mark.thorough
 def test_nothing_is_remembered_from_one_pair_set_to_the_next(dataset: Dataset, tmp_path: Path) -> None:
     (cheat,) = evaluate(dataset, tmp_path, f"cheat={HERE}:NoteTaker", pair_sets=(ACROSS, WITHIN))
     across, within = (
@@ -366,6 +377,7 @@ def test_who_intersects_circles_around_its_starts_finds_what_the_starts_find(tmp
         assert (found.within_1px, found.within_3px) == (found.start_within_1px, found.start_within_3px)
 
 
+@pytest.mark.thorough
 def test_who_fits_a_pose_to_all_starts_gains_as_documented_and_is_found_by_check_method(tmp_path: Path) -> None:
     matched = make_small_dataset(tmp_path / "small", frames=4, correspondences=400, size=(160, 120))
     (cheat,) = evaluate(matched, tmp_path / "r", f"cheat={HERE}:PoseFitter", matching=True)
@@ -409,6 +421,7 @@ def test_retrievers_see_images_in_an_order_that_says_nothing(tmp_path: Path) -> 
     np.testing.assert_array_equal(described.values, given.values)
 
 
+@pytest.mark.thorough
 def test_nothing_but_pixels_tells_pairs_of_different_places_from_others(tmp_path: Path) -> None:
     apart = make_small_dataset(tmp_path / "small", frames=8, elsewhere=6)
     (cheat,) = evaluate(apart, tmp_path / "out", f"cheat={HERE}:Sorter")

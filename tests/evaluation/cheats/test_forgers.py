@@ -100,6 +100,7 @@ def refused_file(results: Path, *names: object, dataset: Dataset | None = None) 
     return path
 
 
+@pytest.mark.thorough
 def test_honest_results_are_rescored_bit_for_bit(results: Path, dataset: Dataset, tmp_path: Path) -> None:
     claimed = {m.label: m for m in load_results(results)[0].methods}
     found = {m.label: m for m in load_results(results, datasets=lookup(results, dataset.root))[0].methods}
@@ -183,6 +184,7 @@ def test_who_edits_the_record_of_a_run_is_named(
     assert refused_file(tmp_path / "results", "changed", "--overwrite") == folder.run_yaml
 
 
+@pytest.mark.thorough
 def test_what_the_record_of_a_run_admits_is_on_the_page(made: Path, dataset: Dataset, tmp_path: Path) -> None:
     out = tmp_path / "results"
     evaluate(dataset, out, "identity", "clock")
@@ -208,6 +210,7 @@ def test_what_the_record_of_a_run_admits_is_on_the_page(made: Path, dataset: Dat
     assert "relocbench evaluate --dataset DATASET --out RESULTS --method clock\n" in page
 
 
+@pytest.mark.thorough
 def test_where_the_clock_was_not_run_the_page_says_how(dataset: Dataset, tmp_path: Path) -> None:
     evaluate(dataset, tmp_path / "results", "identity")
     write_leaderboard(tmp_path / "results", tmp_path / "board")
@@ -306,6 +309,7 @@ def test_a_dataset_that_no_result_is_of_is_a_users_mistake(results: Path, tmp_pa
         load_results(results, datasets=lookup(results, tmp_path / "results"))
 
 
+@pytest.mark.thorough
 def test_the_commands_refuse_a_forgery_with_status_2(results: Path, dataset: Dataset, tmp_path: Path) -> None:
     folder = method(results, "orb-pnp")
     forge_errors(folder, ACROSS, better)
@@ -321,6 +325,7 @@ def test_the_commands_refuse_a_forgery_with_status_2(results: Path, dataset: Dat
     assert folder.errors(ACROSS).name in checked.stdout
 
 
+@pytest.mark.thorough
 def test_rescored_boards_have_the_same_bytes(results: Path, dataset: Dataset, tmp_path: Path) -> None:
     for name in ("a", "b"):
         write_leaderboard(results, tmp_path / name, datasets=lookup(results, dataset.root))

@@ -40,6 +40,7 @@ def options(dataset: Dataset, out: Path, *methods: str, **more: object) -> dict[
     return {"dataset": dataset.root, "out": out, "methods": methods, "workers": 1, "pair_sets": (ACROSS,), **more}
 
 
+@pytest.mark.thorough
 def test_trackers(dataset: Dataset, tmp_path: Path) -> None:
     methods = f"a={UNMADE}", f"b={UNMADE}", "identity"
     given = options(dataset, tmp_path, *methods, set=("b.interrupts=true",))
@@ -51,6 +52,7 @@ def test_trackers(dataset: Dataset, tmp_path: Path) -> None:
         assert raised in message
 
 
+@pytest.mark.thorough
 def test_the_exit_status_says_so_and_a_removed_working_folder_is_there_again(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -66,11 +68,13 @@ def test_the_exit_status_says_so_and_a_removed_working_folder_is_there_again(
     assert next((tmp_path / "out").glob("*@*/identity/scores.yaml")).exists()
 
 
+@pytest.mark.thorough
 def test_a_single_method_is_refused(dataset: Dataset, tmp_path: Path) -> None:
     with refused(MethodError, "", None, "'a'", "no luck"):
         evaluate_methods(EvaluateOptions.model_validate(options(dataset, tmp_path, f"a={UNMADE}")), Silent())
 
 
+@pytest.mark.thorough
 def test_both_halves_of_a_pipeline(dataset: Dataset, tmp_path: Path) -> None:
     given = options(dataset, tmp_path, f"a={UNMADE}", "identity")
     given["retriever"] = ("oracle", "n=retrievers_for_tests:makes_nothing")
@@ -80,6 +84,7 @@ def test_both_halves_of_a_pipeline(dataset: Dataset, tmp_path: Path) -> None:
     assert "identity" in {folder.run_record().tracker for folder in report.folders}
 
 
+@pytest.mark.thorough
 def test_a_probe(dataset: Dataset, tmp_path: Path) -> None:
     notes = Notes()
     methods = f"a={UNMADE}", "f=trackers_for_tests:FromPrior"

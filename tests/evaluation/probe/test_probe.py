@@ -145,6 +145,7 @@ def test_structured_pixels_are_the_corners_among_those_that_are_visible() -> Non
     assert with_structure(known, image, 1e-6).visible.sum() == 1
 
 
+@pytest.mark.thorough
 def test_a_method_that_does_not_move_finds_what_it_started_at(dataset: Dataset, tmp_path: Path) -> None:
     report = probe_methods(options(dataset, tmp_path, BASIN), Silent())
     assert not report.crashed
@@ -172,6 +173,7 @@ def test_a_method_that_does_not_move_finds_what_it_started_at(dataset: Dataset, 
         assert cv2.imread(str(tmp_path / name)) is not None
 
 
+@pytest.mark.thorough
 def test_dso_is_better_near_than_far_and_on_the_same_condition(dataset: Dataset, tmp_path: Path) -> None:
     probe_methods(options(dataset, tmp_path, "dso", BASIN, poses=False, pairs=2, per_pair=40), Silent())
     found = [
@@ -197,6 +199,7 @@ def test_any_number_of_workers_leaves_the_same_bytes(dataset: Dataset, tmp_path:
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
 
 
+@pytest.mark.thorough
 def test_what_is_known_is_not_asked_again_and_other_parameters_are(dataset: Dataset, tmp_path: Path) -> None:
     log = tmp_path / "log"
     given = options(dataset, tmp_path / "out", BASIN, set=(f"b.log={log}",))
@@ -295,6 +298,7 @@ def test_results_are_kept_out_of_the_dataset(dataset: Dataset) -> None:
     assert_names(outcome.complaint, "", None, "--out")
 
 
+@pytest.mark.thorough
 def test_without_correspondences_only_poses_are_probed(tmp_path: Path) -> None:
     bare = make_small_dataset(tmp_path / "bare")
     outcome = relocbench(

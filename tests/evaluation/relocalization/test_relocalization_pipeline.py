@@ -61,6 +61,7 @@ def found_by(dataset: Dataset, tmp_path: Path, frames: list[list[int]], name: st
     return f"{name}=predictions:{lists(dataset, tmp_path / name, frames)}"
 
 
+@pytest.mark.thorough
 def test_the_oracle_with_one_keyframe_scores_what_the_tracker_scores_on_its_pairs(tmp_path: Path) -> None:
     """One pair a query, with the nearest keyframe: the chain asks the same questions."""
     made = make_small_dataset(tmp_path / "d", frames=FRAMES, pairs=FRAMES, size=(32, 24))

@@ -200,6 +200,7 @@ def test_a_fitting_retriever_is_fitted_anew_to_each_gallery(views: Path, tmp_pat
     assert "fit: ValueError: too few images" in broken.crashed[0][1]
 
 
+@pytest.mark.thorough
 def test_a_retriever_lives_in_one_process_wherever_the_rest_of_the_work_runs(views: Path) -> None:
     images = open_cross_view(views).tasks()[0].gallery[:3]
     nobody = Scheduler(address="tcp://127.0.0.1:9")
@@ -306,6 +307,7 @@ def test_the_first_of_a_ranking_are_those_of_a_full_sort() -> None:
         assert nearest(scores, count, right).tolist() == ordered[:count]
 
 
+@pytest.mark.thorough
 def test_exact_scores_do_not_depend_on_blocks_and_agree_with_ranking() -> None:
     rng = np.random.default_rng(2)
     query, gallery = rng.normal(size=(9, 33)).astype(np.float32), rng.normal(size=(21, 33))
@@ -320,6 +322,7 @@ def test_exact_scores_do_not_depend_on_blocks_and_agree_with_ranking() -> None:
     assert np.array_equal(rank_scores(whole, relevance).position, rank_descriptors(query, gallery, relevance).position)
 
 
+@pytest.mark.thorough
 def test_the_level_of_chance_is_what_random_orders_score() -> None:
     rng = np.random.default_rng(0)
     relevance = relevance_from_labels([0, 1, 9], [0, 0, 0, 1, 2, 3, 4, 5, -1, 7, 8])

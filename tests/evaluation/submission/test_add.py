@@ -69,6 +69,7 @@ def test_blind_answers_are_scored_as_the_same_answers_with_times_are(
     assert not (tmp_path / "r-blind" / ".adding").exists()
 
 
+@pytest.mark.thorough
 def test_the_board_shows_the_card_the_mark_and_what_is_odd(town: Dataset, blind: Dataset, tmp_path: Path) -> None:
     root = submit(tmp_path / "s", blind, lambda pair: np.eye(4), what="Guesses <b>boldly</b> | well.")
     assert adding(root, tmp_path / "r", town).status == 0
@@ -141,6 +142,7 @@ def test_no_row_is_replaced_unasked_and_the_same_submission_changes_nothing(town
     assert not (results / ".adding").exists()
 
 
+@pytest.mark.thorough
 def test_labels_of_rows_that_were_run_here_stay_theirs(town: Dataset, tmp_path: Path) -> None:
     results = tmp_path / "r"
     run = ("evaluate", "-d", town.root, "-m", "floor=identity", "-o", results, "-j", 1, "-q")

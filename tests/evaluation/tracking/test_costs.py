@@ -36,6 +36,7 @@ def answers_of(folder: MethodResults) -> list[Answer]:
     return list(read_answers(folder.answers(ACROSS)).values())
 
 
+@pytest.mark.thorough
 def test_memory_is_that_of_the_methods_own_process_and_on_one_core_it_has_one(dataset: Dataset, tmp_path: Path) -> None:
     cores = os.sched_getaffinity(0)
     settings = ("large.takes_mib=200",)

@@ -290,6 +290,7 @@ def test_a_mistyped_method_leaves_no_folder(dataset: Dataset, tmp_path: Path) ->
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.thorough
 def test_a_killed_run_resumes_and_ends_with_the_same_bytes(dataset: Dataset, tmp_path: Path) -> None:
     log, out = tmp_path / "log", tmp_path / "out"
     arguments = ["evaluate", "-d", dataset.root, "-m", f"m={HERE}:Logging", "--set", f"log={log}"]

@@ -70,6 +70,7 @@ def test_the_tables_have_the_numbers_worked_out_by_hand(tmp_path: Path) -> None:
     assert (out / "pairs.txt").read_text().splitlines()[2:] == ["drive/cam0/5.png, map/cam0/5.png, 1"]
 
 
+@pytest.mark.thorough
 def test_the_kapture_package_reads_poses_images_and_depth_back(dataset: Dataset, tmp_path: Path) -> None:
     pytest.importorskip("kapture.io.csv", reason="the kapture package is not installed")
     pytest.importorskip("kapture.io.records", reason="the kapture package is not installed")

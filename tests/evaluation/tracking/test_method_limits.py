@@ -185,6 +185,7 @@ def test_a_method_that_writes_into_what_it_is_given_costs_its_pair_and_changes_n
         assert all(good[pair].info == answer.info for pair, answer in bad.items() if pair != at)
 
 
+@pytest.mark.thorough
 def test_one_worker_is_another_process_and_none_is_this_one(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -195,6 +196,7 @@ def test_one_worker_is_another_process_and_none_is_this_one(
         assert {loaded in a.info for a in answers(report).values()} == {expected}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("deed", "words"),
     [

@@ -65,6 +65,7 @@ def answers(report: Report) -> dict[str, Answer]:
     }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_what_a_method_answers_costs_its_own_pair_and_is_told(case: Case, answers: dict[str, Answer]) -> None:
     answer = answers[case.name]
@@ -77,6 +78,7 @@ def test_what_a_method_answers_costs_its_own_pair_and_is_told(case: Case, answer
     assert case.info is None or case.info(info)
 
 
+@pytest.mark.thorough
 def test_methods_after_a_misbehaving_one_are_asked_and_all_is_scored_and_ranked(
     dataset: Dataset, report: Report
 ) -> None:

@@ -73,6 +73,7 @@ def confidently(dataset: Dataset, folder: Path, *, right: int = 0) -> Path:
     return folder
 
 
+@pytest.mark.thorough
 def test_all_pairs_are_asked_and_no_other_score_counts_those_of_different_places(
     dataset: Dataset, plain: Dataset, tmp_path: Path
 ) -> None:
@@ -119,6 +120,7 @@ def test_the_bound_without_any_confident_answer_is_clopper_and_pearsons(dataset:
     assert made.score_record().elsewhere[ACROSS]["confident_high"] == pytest.approx(1 - 0.025 ** (1 / COUNT))
 
 
+@pytest.mark.thorough
 def test_the_leaderboard_shows_them_and_computes_them_anew(dataset: Dataset, tmp_path: Path) -> None:
     evaluate(dataset, tmp_path / "out", "identity", "clock")
     evaluate(dataset, tmp_path / "out", predictions=confidently(dataset, tmp_path / "mine"))
@@ -147,6 +149,7 @@ def test_the_leaderboard_shows_them_and_computes_them_anew(dataset: Dataset, tmp
     assert told["elsewhere"]["identity"][ACROSS]["pairs"] == COUNT
 
 
+@pytest.mark.thorough
 def test_a_page_without_them_does_not_speak_of_them(plain: Dataset, tmp_path: Path) -> None:
     evaluate(plain, tmp_path / "out", "identity")
     write_leaderboard(tmp_path / "out", tmp_path / "board")
@@ -202,6 +205,7 @@ def test_results_of_versions_that_knew_no_different_places_are_read(plain: Datas
     assert not validate_results(tmp_path / "out", plain, Silent()).faults
 
 
+@pytest.mark.thorough
 def test_nothing_else_uses_them(dataset: Dataset, tmp_path: Path) -> None:
     apart = {p.key for p in dataset.pair_set(ACROSS).negative_pairs}
     assert len(apart) == COUNT

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from refusals import refused
 from small_dataset import ACROSS, make_small_dataset
 
@@ -60,6 +61,7 @@ def test_few_pairs_and_standing_clocks_give_the_identity_or_the_mean() -> None:
     assert np.all(np.isfinite(poses))
 
 
+@pytest.mark.thorough
 def test_the_floor_stands_beside_the_methods(tmp_path: Path) -> None:
     data = make_small_dataset(tmp_path / "small", frames=12)
     options = EvaluateOptions(dataset=data.root, methods=("clock", "identity"), out=tmp_path / "out", workers=0)

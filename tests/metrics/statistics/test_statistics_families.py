@@ -46,6 +46,7 @@ def with_noise(e: Array, rng: np.random.Generator) -> Array:
     return noisy
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("roads", [1, 12])
 @pytest.mark.parametrize("change", [without_one, with_noise])
 def test_no_rank_moves_by_copies_of_another_method(

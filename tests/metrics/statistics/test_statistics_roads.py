@@ -98,6 +98,7 @@ def test_only_what_sets_have_not_in_common_averages_out() -> None:
     assert widths[1.0] == pytest.approx(alone)
 
 
+@pytest.mark.thorough
 @given(st.permutations(range(5)), st.integers(0, 50))
 def test_the_order_of_sets_and_the_names_of_roads_change_nothing(order: list[int], seed: int) -> None:
     rng = np.random.default_rng(seed)
