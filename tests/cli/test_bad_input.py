@@ -173,6 +173,7 @@ def test_one_clear_line_status_2_and_nothing_lost(case: Case, damage: Damage, to
         assert contents(folder) == files, folder.name
 
 
+@pytest.mark.thorough
 def test_the_undamaged_case_has_nothing_to_complain_about(case: Case) -> None:
     assert relocbench(*case.build, "-q").status == 0
     assert relocbench(*case.evaluate, "-q").status == 0

@@ -121,6 +121,7 @@ def test_a_fault_in_a_list_is_named_with_its_line(street: Path, tmp_path: Path, 
         assert not (tmp_path / "r").exists()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -144,6 +144,7 @@ def part(data: Path, name: str) -> Path:
 # Pipes, sockets and devices where a file is expected.
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("inside", ["dataset.yaml", "manifest.csv", "IMAGE", "DEPTH", "POSES", "PAIRS"])
 def test_a_pipe_in_a_dataset_is_refused_and_not_waited_for(data: Path, tmp_path: Path, inside: str) -> None:
     path = part(data, inside)

@@ -141,6 +141,7 @@ def test_the_test_split_is_never_learnt_from(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.thorough
 def test_missing_parts_of_a_dataset_are_one_line_each(tmp_path: Path, dataset: Dataset) -> None:
     bare = make_small_dataset(tmp_path / "bare", splits={"train": [ACROSS], "validation": [WITHIN]})
     unsplit = make_small_dataset(tmp_path / "unsplit", correspondences=50, splits={"train": [ACROSS]})

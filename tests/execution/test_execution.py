@@ -49,6 +49,7 @@ def test_workers_that_end_while_they_start_are_reported_with_a_remedy(monkeypatc
         assert remedy in str(told.value)
 
 
+@pytest.mark.thorough
 def test_kept_workers_serve_call_after_call_until_one_dies(tmp_path: Path) -> None:
     def processes() -> set[int]:
         return {pid for _, (pid, _) in run_units(environment, range(8), Run(2))}

@@ -135,6 +135,7 @@ def test_no_page_and_no_payload_has_a_foreign_name_as_markup(site: Path) -> None
         assert PLACE not in path.read_text(encoding="utf-8"), path.name
 
 
+@pytest.mark.thorough
 def test_the_same_boards_give_the_same_bytes(boards: Boards, site: Path, tmp_path: Path) -> None:
     again = write_site(_hostile(boards), tmp_path / "again", pairs=2).parent
     files = sorted(path.relative_to(site) for path in site.rglob("*") if path.is_file())

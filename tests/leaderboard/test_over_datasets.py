@@ -112,6 +112,7 @@ def test_every_format_has_the_table(results: Path, tmp_path: Path) -> None:
     assert {row["method"]: row["rank"] for row in json.loads(told.out)["datasets"]}["bad"] == 2
 
 
+@pytest.mark.thorough
 def test_retrievers_are_compared_over_datasets_too(tmp_path: Path) -> None:
     for number in range(2):
         views = make_small_views(tmp_path / f"town-{number}", places=12 + number, noise=20.0)

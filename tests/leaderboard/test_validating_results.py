@@ -43,6 +43,7 @@ def faults(path: Path, *options: object) -> list[str]:
     return [f"{Path(f['path']).name}: {f['message']}" for f in told["faults"]]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("part", [".", "*places*", RETRIEVER, "*relocalization@*", CHAIN, "small@*", TRACKER])
 def test_whole_results_of_every_kind_have_no_fault(results: Path, dataset: Dataset, part: str) -> None:
     path = next(results.glob(part)) if part != "." else results

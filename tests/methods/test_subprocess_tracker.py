@@ -141,6 +141,7 @@ def test_nonsense_costs_the_pair_and_says_why(tmp_path: Path, dataset: Dataset, 
     tracker.close()
 
 
+@pytest.mark.thorough
 def test_a_program_that_is_too_slow_is_killed_and_started_again(tmp_path: Path, dataset: Dataset) -> None:
     """It hangs at the second query it gets. What it must answer has limits that only a hang reaches."""
     body = "time.sleep(3600 * (n == 2)); print(good, flush=True)"

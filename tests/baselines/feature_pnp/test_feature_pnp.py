@@ -419,6 +419,7 @@ def test_matching_is_distinctive_mutual_and_one_to_one() -> None:
     assert len(np.unique(every[:, 1])) == len(every)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["orb", "sift"])
 def test_keypoints_have_no_bias_towards_a_corner(kind: str) -> None:
     """Rotating an image by half a turn maps (u, v) to (W-1-u, H-1-v): so it must the keypoints of every scale."""

@@ -233,6 +233,7 @@ def test_a_trial_says_what_chance_scores_and_when_all_images_look_alike() -> Non
 # Starts
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("without_curves")
 def test_a_configuration_starts_from_trained_rings(tmp_path: Path, trained: Path) -> None:
     told = Notes()

@@ -173,6 +173,7 @@ def test_a_measure_that_no_pair_has_is_a_fault(dataset: Dataset) -> None:
     }
 
 
+@pytest.mark.thorough
 def test_truth_that_disagrees_with_its_stated_source_is_a_fault(tmp_path: Path) -> None:
     wrong = make_small_dataset(tmp_path / "D", pose_fault=make_transform(so3_exp([0, 0.01, 0]), [0.05, 0, 0]))
     found = check(wrong.root)

@@ -97,6 +97,7 @@ def sealed(root: Path, version: int) -> Dataset:
     return Dataset(root)
 
 
+@pytest.mark.thorough
 def test_trackers_get_the_camera_of_the_image(tmp_path: Path) -> None:
     dataset, own = with_own_cameras(tmp_path / "d")
     winter, usual = dataset.traversal("winter"), dataset.traversal("winter").camera(CAMERA)

@@ -299,6 +299,7 @@ def test_a_pair_that_is_not_rectified_is_refused() -> None:
             rectified(CAMERA, CAMERA, wrong)
 
 
+@pytest.mark.thorough
 def test_sigma_of_pixels_is_the_spread_of_warped_pixels() -> None:
     rng = np.random.default_rng(3)
     T_query_ref = se3_exp([0.3, -0.1, -1.0, 0.02, 0.1, -0.03])

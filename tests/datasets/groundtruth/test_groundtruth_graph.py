@@ -338,6 +338,7 @@ def test_between_nodes_a_pose_follows_the_odometry_and_is_less_certain() -> None
     np.testing.assert_allclose(between.T_query_ref, true, atol=0.05)
 
 
+@pytest.mark.thorough
 def test_refused_pairs_say_why() -> None:
     reference, query, found = two_drives(300.0, 15)
     found = [

@@ -154,6 +154,7 @@ def test_drive_without_way_or_lidar_is_refused(street: FieldRecording) -> None:
 # --- beams
 
 
+@pytest.mark.thorough
 def test_each_beam_is_placed_by_its_own_time(street: FieldRecording) -> None:
     rng = np.random.default_rng(0)
     rotation = so3_exp(np.cumsum(0.05 * rng.normal(size=(161, 3)), axis=0))
@@ -337,6 +338,7 @@ def test_one_lidar_across_the_road_cannot_tell_what_moved() -> None:
 # --- building
 
 
+@pytest.mark.thorough
 def test_block_does_not_depend_on_those_made_with_it(street: FieldRecording, built: tuple[Nodes, BlockStore]) -> None:
     nodes, store = built
     alone = blocks_of(street, nodes, range(7, 8))

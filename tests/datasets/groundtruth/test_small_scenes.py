@@ -82,6 +82,7 @@ def test_a_reduced_outcome_is_as_far_off_in_its_sigmas(factor: float, seed: int)
     assert found.sigma_rotation_deg == 0.1
 
 
+@pytest.mark.thorough
 def test_a_street_stays_as_it_is_and_one_of_an_eighth_is_enlarged() -> None:
     street = drive_street(Street(length_m=60.0, sigma=0.01))
     assert scale_of_drives([street], "auto", Silent()).factor == 1.0

@@ -126,6 +126,7 @@ def test_odometry_is_the_best_there_is_and_lidar_without_poses(drives: list[Stre
         read_boreas(folder, "a", "applanix")
 
 
+@pytest.mark.thorough
 def test_positions_in_another_map_are_no_prior(drives: list[StreetDrive], tmp_path: Path) -> None:
     """Earlier releases state positions on the UTM grid, later ones relative to the first drive."""
     folder = tmp_path / drives[1].folder.name

@@ -582,6 +582,7 @@ def test_the_kapture_package_reads_the_same(kapture: Any, copy: Path, part: str)
     assert not (np.isfinite(depth) & (depth > 0))[known == 0].any()
 
 
+@pytest.mark.thorough
 def test_what_the_kapture_package_writes_is_read(kapture: Any, made: Path, tmp_path: Path) -> None:
     theirs = kapture.io.csv.kapture_from_dir(str(made / "query"))
     kapture.io.csv.kapture_to_dir(str(tmp_path / "again"), theirs)

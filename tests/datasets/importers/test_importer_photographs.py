@@ -126,6 +126,7 @@ def test_the_bytes_depend_on_the_seed_and_on_nothing_else(tmp_path: Path) -> Non
     assert content(other.root)[poses] != content(alone.root)[poses]
 
 
+@pytest.mark.thorough
 def test_another_photograph_beside_it_does_not_change_a_keyframe(tmp_path: Path) -> None:
     few = built([write_photographs(tmp_path / "few", 3)], tmp_path / "1", validation=0)
     more = built([write_photographs(tmp_path / "more", 4)], tmp_path / "2", validation=0)

@@ -144,6 +144,7 @@ def test_options_that_do_not_fit_the_recordings_are_refused_before_any_work(
         check_recordings([reference, query], FieldOptions.model_validate(options))
 
 
+@pytest.mark.thorough
 def test_without_images_poses_of_the_rig_are_paired_unless_some_drives_have_images(
     robotcar_street: RobotCarStreet,
 ) -> None:

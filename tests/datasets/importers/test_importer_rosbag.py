@@ -157,6 +157,7 @@ def test_fixes_alone_give_a_prior_near_the_true_one(
     assert forward.min() > np.cos(np.radians(5))
 
 
+@pytest.mark.thorough
 def test_topics_are_listed_by_inspect(bags: dict[Storage, list[Path]]) -> None:
     for storage in STORAGES:
         outcome = relocbench("inspect", bags[storage][0])

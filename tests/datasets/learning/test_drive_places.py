@@ -54,6 +54,7 @@ def test_one_place_for_all_that_stand_together(dataset: Dataset) -> None:
     assert data.described == ((dataset.name, dataset.fingerprint),)
 
 
+@pytest.mark.thorough
 def test_a_place_that_one_drive_shows_is_left_out(dataset: Dataset) -> None:
     """The other drive is turned by 2 degrees and stands elsewhere by some centimetres."""
     with refused(DatasetError, "", None, "train", "1e-06"):

@@ -224,6 +224,7 @@ def test_the_smoke_preset_is_a_sound_dataset_with_labelled_conditions(town: Data
     assert np.diff(times).tolist() == [100_000_000] * 3
 
 
+@pytest.mark.thorough
 def test_pairs_agree_with_the_poses_to_their_last_digits(town: Dataset) -> None:
     for pair_set in town.pair_sets():
         reference, query = town.traversal(pair_set.reference), town.traversal(pair_set.query)
@@ -269,6 +270,7 @@ def test_depth_is_that_of_an_independent_ray_cast(empty: Dataset, wet: Mesh) -> 
     assert wrong == 0
 
 
+@pytest.mark.thorough
 def test_correspondences_hold_forward_and_backward_on_static_surfaces(town: Dataset) -> None:
     pair_set = town.pair_set(ACROSS)
     factors = condition_named("WetNoon").factors

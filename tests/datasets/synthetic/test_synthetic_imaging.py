@@ -110,6 +110,7 @@ def test_only_images_change(ideal: Dataset, varied: Dataset) -> None:
     assert any(name.endswith(".parquet") for name in before)
 
 
+@pytest.mark.thorough
 def test_the_recipe_says_which_camera_each_drive_had(varied: Dataset) -> None:
     recipe = yaml.safe_load((varied.root / "build.yaml").read_text(encoding="utf-8"))
     assert recipe["options"]["imaging"] == "varied"

@@ -170,6 +170,7 @@ def test_depth_of_a_grazed_road_is_exact_far_away() -> None:
     assert error.max() < 1 / 256
 
 
+@pytest.mark.thorough
 def test_a_frame_is_the_same_bytes_alone_and_after_others() -> None:
     hard = {
         "rain_mm_h": 8.0,

@@ -66,6 +66,7 @@ def test_the_dashes_of_centre_lines_lie_on_them_and_stop_lines_across_a_lane(dis
     assert (paint[stops][..., 0] > 8).all()
 
 
+@pytest.mark.thorough
 def test_yellow_lines_are_along_kerbs_without_parking(district: District) -> None:
     mesh = district.static
     lines = mesh.uv[mesh.material == Material.KERB_LINE]

@@ -218,6 +218,7 @@ def test_what_is_known_is_not_asked_again_and_other_parameters_are(dataset: Data
     assert log.read_text().count("match") == 13
 
 
+@pytest.mark.thorough
 def test_a_method_that_breaks_has_found_nothing_and_is_told(dataset: Dataset, tmp_path: Path) -> None:
     last = max(pair.query_timestamp_ns for pair in dataset.pair_set(ACROSS).pairs)
     given = options(dataset, tmp_path, BASIN, set=(f"b.raises_at={last}",), pair_sets=(ACROSS,), pairs=100)

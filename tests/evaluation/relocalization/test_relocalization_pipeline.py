@@ -91,6 +91,7 @@ def test_the_oracle_with_one_keyframe_scores_what_the_tracker_scores_on_its_pair
     assert floor == pytest.approx([r.translation_error_m for r in rows(pipeline, "i")])
 
 
+@pytest.mark.thorough
 def test_where_a_pipeline_is_lost(dataset: Dataset, tmp_path: Path) -> None:
     """The basin is one frame, as far as the pairs reach; the tracker is right up to the keyframe at the place."""
     frames = [[0, 5], [5, 1], [7, 6], [2, 6], [4, 0], [0, 1], [], [7, 6]]
@@ -200,6 +201,7 @@ def test_an_answer_that_cannot_be_judged_is_wrong(tmp_path: Path) -> None:
     assert [np.isinf(r.translation_error_m) for r in got] == [True, False, True, True]
 
 
+@pytest.mark.thorough
 def test_each_pair_is_asked_once_and_nothing_again(dataset: Dataset, tmp_path: Path) -> None:
     log = tmp_path / "log"
     one = found_by(dataset, tmp_path, [[q, (q + 1) % 8] for q in range(8)], "one")

@@ -102,6 +102,7 @@ def test_all_pairs_are_asked_and_no_other_score_counts_those_of_different_places
     }
 
 
+@pytest.mark.thorough
 def test_a_wrong_answer_counts_unless_its_confidence_is_small(dataset: Dataset, tmp_path: Path) -> None:
     theirs = confidently(dataset, tmp_path / "mine")
     (folder,) = evaluate(dataset, tmp_path / "out", predictions=theirs)
@@ -194,6 +195,7 @@ def test_forged_numbers_and_groups_are_refused(dataset: Dataset, tmp_path: Path)
         load_results(tmp_path / "record")
 
 
+@pytest.mark.thorough
 def test_results_of_versions_that_knew_no_different_places_are_read(plain: Dataset, tmp_path: Path) -> None:
     (folder,) = evaluate(plain, tmp_path / "out", "identity")
     change_yaml(folder.scores_yaml, lambda scores: scores.pop("elsewhere"))
