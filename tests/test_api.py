@@ -82,6 +82,7 @@ def test_evaluate_gives_the_board_of_its_dataset_and_takes_settings(dataset: Pat
     assert '"features":200' in table["parameters"].iloc[0].replace(" ", "")
 
 
+@pytest.mark.thorough
 def test_a_mistake_is_one_of_the_errors_that_the_commands_print(dataset: Path, results: Path, tmp_path: Path) -> None:
     with pytest.raises(MethodError, match="orb-pmp"):
         rb.evaluate(dataset, "orb-pmp", out=tmp_path / "r")

@@ -159,6 +159,7 @@ def case(untouched: Case, tmp_path: Path) -> Case:
     return Case(*(tmp_path / name for name in names))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("damage", "told"), CASES, ids=[damage.__name__ for damage, _ in CASES])
 def test_one_clear_line_status_2_and_nothing_lost(case: Case, damage: Damage, told: Told) -> None:
     command = damage(case)

@@ -205,6 +205,7 @@ def _small_demo(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TORCH_HOME", "no-weights")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("arguments", "counted"),
     [

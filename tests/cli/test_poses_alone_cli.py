@@ -53,6 +53,7 @@ def told(*arguments: object) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.thorough
 def test_predictions_and_both_floors_are_scored(root: Path) -> None:
     scores = {
         path.parent.name: yaml.safe_load(path.read_text())["pair_sets"][ACROSS]["all"]
@@ -108,6 +109,7 @@ def test_a_submission_is_taken(root: Path, tmp_path: Path) -> None:
     assert [row["state"] for row in added["rows"]] == ["added"]
 
 
+@pytest.mark.thorough
 def test_the_viewer_shows_poses_without_images(root: Path, tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     found = told("view", root / "D", "--results", root / "results", "--out", tmp_path / "d.rrd")

@@ -69,6 +69,7 @@ def test_a_group_without_defaults_takes_any_names() -> None:
         trainer_options(usual, None, ["shares=3"])
 
 
+@pytest.mark.thorough
 def test_pairs_of_a_split_hold_what_both_images_see(dataset: Dataset) -> None:
     data = DatasetPairs([dataset.root])
     accepted = {name: dataset.pair_set(name).pairs for name in (ACROSS, WITHIN)}
@@ -188,6 +189,7 @@ class Truth:
         return TrackResult(self._poses[time_of(reference), time_of(query)])
 
 
+@pytest.mark.thorough
 def test_a_trial_asks_evenly_and_scores_as_evaluate_does(tmp_path: Path) -> None:
     data = make_small_dataset(tmp_path / "d", frames=6, splits={"validation": [ACROSS, WITHIN]})
     trial = TrackerValidation([data.root], pairs=8, seed=0, reporter=Silent())

@@ -28,6 +28,7 @@ def _commands() -> list[str]:
     return [line for block in blocks for line in block.splitlines()]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("rendered", [False, pytest.param(True, marks=pytest.mark.thorough)])
 def test_the_walk_leads_from_a_salt_to_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rendered: bool) -> None:
     monkeypatch.chdir(tmp_path)

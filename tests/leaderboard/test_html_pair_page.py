@@ -112,6 +112,7 @@ def test_the_same_results_give_the_same_bytes(results: Path, site: Path, tmp_pat
     assert [path for path in files if (site / path).read_bytes() != (again / path).read_bytes()] == []
 
 
+@pytest.mark.thorough
 def test_pictures_of_pairs_that_are_no_longer_chosen_are_removed(results: Path, tmp_path: Path) -> None:
     write_site(_boards(results), tmp_path, pairs=1)
     assert list(tmp_path.glob("data/images/*/*/*.js"))

@@ -93,6 +93,7 @@ def test_many_datasets_must_agree_that_a_method_is_better(tmp_path: Path) -> Non
     assert ranks["low"] == 3
 
 
+@pytest.mark.thorough
 def test_every_format_has_the_table(results: Path, tmp_path: Path) -> None:
     formats = "csv,markdown,latex,html"
     shown = relocbench("leaderboard", results, "--out", tmp_path, "--format", formats, "--pairs", 0, "--quiet")

@@ -79,6 +79,7 @@ def test_what_else_the_tracker_can_do_it_still_can() -> None:
     assert not hasattr(tracker, "match_levels")
 
 
+@pytest.mark.thorough
 def test_a_start_of_a_start_and_files_of_both() -> None:
     settings = ("start=dso", "a.start.start=orb-pnp", "a.start.points=500")
     spec = parse_method("a=gn-net", settings)

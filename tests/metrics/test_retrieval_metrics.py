@@ -312,6 +312,7 @@ def near_ties(seed: int, size: int = 96) -> tuple[Floats, Floats, Relevance]:
     return query.astype(np.float32), gallery.astype(np.float32), relevance
 
 
+@pytest.mark.thorough
 @given(seeds, st.integers(1, 12), st.integers(1, 160))
 @settings(max_examples=40, deadline=None)
 def test_blocks_change_nothing_where_float32_cannot_tell_images_apart(seed: int, rows: int, columns: int) -> None:

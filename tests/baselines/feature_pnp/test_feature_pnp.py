@@ -272,6 +272,7 @@ def test_exact_points_give_the_exact_pose_despite_outliers(camera: Camera) -> No
     assert refined.rms_px < 1e-4
 
 
+@pytest.mark.thorough
 def test_stated_uncertainty_agrees_with_the_scatter_of_the_poses() -> None:
     """The covariance of 60 poses from points with 0.5 px of noise, per axis within a factor of 1.5."""
     rng = np.random.default_rng(2)

@@ -214,6 +214,7 @@ def test_a_decorrelation_that_nothing_would_learn_from_is_refused(tmp_path: Path
         train(tmp_path / "out", resnet, "lpn-dwdr", frozen_blocks=1)
 
 
+@pytest.mark.thorough
 def test_retrievers_that_share_maps_answer_as_they_do_alone(
     tmp_path: Path, resnet: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -248,6 +248,7 @@ def test_a_configuration_starts_from_trained_rings(tmp_path: Path, trained: Path
         train(tmp_path / "d", start="none.safetensors")
 
 
+@pytest.mark.thorough
 def test_a_backbone_from_a_file_is_told_and_learns_at_the_recipes_rates(tmp_path: Path) -> None:
     torch.manual_seed(0)
     path = tmp_path / "resnet18.pth"

@@ -62,6 +62,7 @@ def test_a_sound_dataset_has_no_fault(tmp_path: Path, kind: dict[str, bool]) -> 
     assert (found.faults, found.notes) == ([], [])
 
 
+@pytest.mark.thorough
 def test_every_faulty_line_of_the_poses_is_named(dataset: Dataset) -> None:
     poses = dataset.layout.traversal("summer").poses
     edit(poses, 2, r",0\.0,", ",nan,")
@@ -99,6 +100,7 @@ def test_an_image_whose_middle_was_overwritten_is_named(dataset: Dataset) -> Non
     assert not check(dataset.root, quick=True).faults, "--quick does not read images"
 
 
+@pytest.mark.thorough
 def test_an_image_of_another_size_than_its_camera_is_named(dataset: Dataset) -> None:
     other = make_small_dataset(dataset.root.parent / "other", size=(80, 60))
     path = dataset.layout.traversal("summer").image(CAMERA, START_NS)
@@ -182,6 +184,7 @@ def test_truth_that_disagrees_with_its_stated_source_is_a_fault(tmp_path: Path) 
     assert "0.573 deg" in found.faults[0].message  # 0.01 rad
 
 
+@pytest.mark.thorough
 def test_truth_from_elsewhere_may_differ_from_the_poses(tmp_path: Path) -> None:
     made = make_small_dataset(tmp_path / "D", pose_fault=make_transform(so3_exp([0, 0.01, 0]), [0, 0, 0]))
     table = made.layout.pair_table(ACROSS)
@@ -276,6 +279,7 @@ def test_stale_scores_are_a_fault(results: Path) -> None:
     assert any("'ok' but has no pose" in f.message for f in found.faults)
 
 
+@pytest.mark.thorough
 def test_results_of_another_dataset_are_a_fault(results: Path, tmp_path: Path) -> None:
     other = make_small_dataset(tmp_path / "E", seed=5)
     found = validate_results(results, other, Silent())

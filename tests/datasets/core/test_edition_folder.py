@@ -21,6 +21,7 @@ def edition(tmp_path: Path) -> Path:
     return root
 
 
+@pytest.mark.thorough
 def test_a_tier_is_known_from_inside_and_a_dataset_beside_another_file_of_this_name_is_itself(
     edition: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -120,6 +120,7 @@ def test_where_nothing_holds_the_way_the_error_of_the_scale_adds_up() -> None:
     assert 1.8 < along[40] / along[20] < 2.8
 
 
+@pytest.mark.thorough
 def test_gross_errors_are_left_out_and_named() -> None:
     reference, query, found = two_drives(160.0, 3)
     rng = np.random.default_rng(30)
@@ -150,6 +151,7 @@ def test_the_same_registrations_give_the_same_bytes() -> None:
     assert one.covariance(5, 6).tobytes() == other.covariance(5, 6).tobytes()
 
 
+@pytest.mark.thorough
 def test_information_that_promises_too_much_is_taken_down() -> None:
     rng = np.random.default_rng(5)
     reference, query = drive(80.0, rng, WHITE), drive(80.0, rng, WHITE, 0.7)
@@ -195,6 +197,7 @@ def test_a_jump_that_all_registrations_share_shows_as_stress_in_the_odometry() -
     assert all(50 <= node <= 70 for node in stressed)
 
 
+@pytest.mark.thorough
 def test_stretches_between_gaps_are_tied_by_registrations_alone() -> None:
     reference, query, found = two_drives(160.0, 10)
     piece = (np.arange(len(query.nodes)) >= 40).astype(np.int64)

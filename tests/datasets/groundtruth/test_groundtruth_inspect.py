@@ -168,6 +168,7 @@ def test_the_same_dataset_draws_the_same_bytes(made: Dataset, drawn: Path, tmp_p
         assert path.read_bytes() == (again.parent / path.relative_to(drawn.parent)).read_bytes()
 
 
+@pytest.mark.thorough
 def test_residuals_are_the_noise_of_the_points_where_the_graph_is_right(made: Dataset) -> None:
     found = inspected_sets(made, [made.pair_set(ACROSS)])[0]
     measured = measure_residuals(found)

@@ -160,6 +160,7 @@ def test_published_trajectory_is_the_gnss_poses_times_their_scale(sample: Path, 
     assert np.asarray(rotation_angle(np.swapaxes(theirs[:, :3, :3], 1, 2) @ ours[:, :3, :3])).max() < 5e-6
 
 
+@pytest.mark.thorough
 def test_real_recording_without_images_is_imported_for_inspection_and_says_so(sample: Path, tmp_path: Path) -> None:
     reporter = Notes()
     dataset = importer.build([sample], importer.Options(point_filter="none"), tmp_path / "out", reporter, Run())

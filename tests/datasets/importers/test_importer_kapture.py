@@ -466,6 +466,7 @@ def test_cameras_that_take_no_part_may_be_unknown(copy: Path, tmp_path: Path) ->
     assert build(copy / "mapping", tmp_path / "e", correspondences=0)  # it has no pose and is left out
 
 
+@pytest.mark.thorough
 def test_options_and_lists_that_do_not_fit_are_refused(made: Path, tmp_path: Path) -> None:
     unposed = shutil.copytree(made / "query", tmp_path / "unposed")
     (unposed / "sensors/trajectories.txt").unlink()

@@ -68,6 +68,7 @@ def test_queries_of_the_second_drive_have_the_nearest_keyframe_of_the_first(driv
     assert not (tmp_path / "d" / "correspondences").exists()
 
 
+@pytest.mark.thorough
 def test_every_format_gives_the_same_pairs_and_the_same_bytes(drives: list[Path], tmp_path: Path) -> None:
     plain = built(tmp_path / "d", *drives)
     other = tmp_path / "other"

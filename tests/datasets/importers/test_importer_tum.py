@@ -102,6 +102,7 @@ def test_images_without_distortion_are_linked(recording: Path, tmp_path: Path) -
     assert path.resolve() == (recording / f"rgb/{SECONDS}.100000.png").resolve()
 
 
+@pytest.mark.thorough
 def test_distorted_images_and_depth_become_those_of_a_pinhole_camera(recording: Path, tmp_path: Path) -> None:
     camera = INTRINSICS["fr1"]
     image = np.zeros((480, 640), dtype=np.uint8)

@@ -194,6 +194,7 @@ def test_clouds_are_preferred_to_packets_and_packets_can_be_named(tmp_path: Path
     assert len(read_bag(named, "drive", BagSettings())[0].lidars[0].read(0).points) > 20_000
 
 
+@pytest.mark.thorough
 def test_a_damaged_packet_names_topic_and_time_and_an_option_that_does_not_fit_is_told(tmp_path: Path) -> None:
     from relocbench.datasets.sensors.point_times import PointTimes
 

@@ -168,6 +168,7 @@ def test_sparse_keyframes_are_measured_around_their_points(count: int) -> None:
     assert found.shift_px == pytest.approx(8.0, rel=0.2)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("px", "verdict"),
     [pytest.param(25.0, "apart", marks=pytest.mark.thorough), (60.0, "apart"), (200.0, "cannot tell")],
@@ -196,6 +197,7 @@ def test_a_query_that_sees_no_point_is_unseen() -> None:
     assert found.words == "the query sees no point of the keyframe by the true pose: check the true pose"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("sparse", [False, True])
 def test_pictures_tell_a_wrong_truth_from_a_right_one(tmp_path: Path, sparse: bool) -> None:
     fault = make_transform(so3_exp([0, np.radians(2.0), 0]), [0.1, 0, 0])

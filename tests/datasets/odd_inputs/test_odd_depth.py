@@ -127,6 +127,7 @@ def notes_of(made: Callable[[Path, float], tuple[Any, Any]], folder: Path, units
     return [note for note in notes.notes if "times too" in note]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("door", DOORS)
 def test_depth_that_contradicts_the_poses_is_told_at_every_door(door: str, tmp_path: Path) -> None:
     assert notes_of(DOORS[door], tmp_path / "right", MM) == []
@@ -160,6 +161,7 @@ def test_the_factor_is_found_over_all_units_and_not_where_it_cannot_be_told(fact
     assert depth_scale([DepthFrame(CAMERA, pose, lambda: wall) for pose in beside]) is None
 
 
+@pytest.mark.thorough
 def test_validate_names_the_depth_that_contradicts_the_poses(tmp_path: Path) -> None:
     dataset = make_small_dataset(tmp_path / "D", correspondences=0)
     findings = validate_dataset(dataset.layout.root, Silent())

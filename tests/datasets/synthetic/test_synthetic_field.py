@@ -257,6 +257,7 @@ def test_the_common_route_is_that_of_the_datasets() -> None:
     np.testing.assert_array_equal(route(network, periodic, "common", 300.0, 5).points, network.drive(300.0, 5).points)
 
 
+@pytest.mark.thorough
 def test_a_detour_leaves_the_common_route_and_comes_back() -> None:
     for path, common, _ in found_routes("detour", 480.0):
         away = distance(path, common)
@@ -270,6 +271,7 @@ def test_a_detour_leaves_the_common_route_and_comes_back() -> None:
         assert path.length == pytest.approx(480.0)
 
 
+@pytest.mark.thorough
 def test_a_crossing_is_passed_in_another_direction() -> None:
     for path, common, _ in found_routes("crossing", 320.0):
         a, b = driven(path), driven(common)
@@ -279,6 +281,7 @@ def test_a_crossing_is_passed_in_another_direction() -> None:
         assert (distance(path, common) > 15).sum() * path.step > 60
 
 
+@pytest.mark.thorough
 def test_the_other_lane_is_that_of_the_way_back() -> None:
     for path, common, _ in found_routes("other-lane", 320.0):
         window = int(25 / path.step)  # outer lanes of bends are longer, and a drive may cross itself
@@ -300,6 +303,7 @@ def test_the_periodic_route_runs_along_the_repeating_facades() -> None:
         assert along > 40
 
 
+@pytest.mark.thorough
 def test_routes_turn_no_sharper_than_a_lane_does() -> None:
     names: tuple[RouteName, ...] = ("detour", "crossing", "periodic", "other-lane")
     for name in names:

@@ -251,6 +251,7 @@ def test_bad_requests_are_told(district: District) -> None:
         district.network.drive(50.0, 0).pose(51.0)
 
 
+@pytest.mark.thorough
 def test_there_is_ground_below_every_place_as_far_as_one_sees(rays: Rays) -> None:
     rng = np.random.default_rng(1)
     places = rng.uniform(-1, 1, (4000, 3)) * np.repeat([[130.0], [1500.0]], 2000, axis=0)

@@ -227,6 +227,7 @@ def test_files_that_are_swapped_between_methods_are_refused(results: Path, names
     refused_file(results)
 
 
+@pytest.mark.thorough
 def test_folders_that_are_swapped_say_as_what_they_ran(results: Path, dataset: Dataset, tmp_path: Path) -> None:
     good, bad = method(results, "sift-pnp").root, method(results, "orb-pnp").root
     good.rename(good.with_name("parked"))
@@ -258,6 +259,7 @@ def test_what_results_say_of_the_dataset_is_compared_with_the_dataset(
     assert refused_file(results, name, dataset=dataset) == path
 
 
+@pytest.mark.thorough
 def test_scores_of_another_version_of_the_formulas_are_scored_again(results: Path, dataset: Dataset) -> None:
     folder = method(results, "identity")
     change_yaml(folder.scores_yaml, lambda scores: scores.update(formulas=99))

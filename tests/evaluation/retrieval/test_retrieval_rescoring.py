@@ -117,6 +117,7 @@ def rows_of(results: Path, out: Path, *datasets: Path) -> dict[tuple[str, str], 
         return {(row["table"], row["method"]): row for row in csv.DictReader(stream)}
 
 
+@pytest.mark.thorough
 def test_honest_results_are_rescored_as_far_as_images_are_kept(results: Path, town: Path, tmp_path: Path) -> None:
     claimed, found = rows_of(results, tmp_path / "a"), rows_of(results, tmp_path / "b", town)
     assert {row["rescored"] for (_, name), row in claimed.items() if name != "(chance)"} == {"no"}

@@ -345,6 +345,7 @@ def _shares() -> tuple[str, ...]:
     return ("match@1px", "match@3px", "start@1px", "start@3px")
 
 
+@pytest.mark.thorough
 def test_check_method_tries_match_where_it_is_offered() -> None:
     kept = [f for f in check(parse_method("dso")) if "match" in f.check]
     assert len(kept) >= 7

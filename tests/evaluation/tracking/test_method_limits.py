@@ -168,6 +168,7 @@ def test_prepare_that_does_not_return_costs_its_keyframe(
     assert len(mark.read_text().splitlines()) == 1
 
 
+@pytest.mark.thorough
 def test_a_method_that_writes_into_what_it_is_given_costs_its_pair_and_changes_nothing(
     dataset: Dataset, tmp_path: Path
 ) -> None:
@@ -228,6 +229,7 @@ def test_an_image_on_which_a_retriever_ends_its_process_costs_itself_alone(
     assert {a.status for a in good} == {"ok"}
 
 
+@pytest.mark.thorough
 def test_checking_a_method_that_ends_its_process_says_so(tmp_path: Path) -> None:
     mark = tmp_path / "mark"
     checked = relocbench(

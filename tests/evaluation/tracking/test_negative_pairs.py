@@ -244,6 +244,7 @@ def test_the_floor_of_times_is_not_fitted_to_them(dataset: Dataset, plain: Datas
     assert set(of_one_place) < set(ours.predictions(ACROSS).read_text().splitlines())
 
 
+@pytest.mark.thorough
 def test_withheld_truth_does_not_say_which_pairs_they_are(tmp_path: Path) -> None:
     withheld = make_small_dataset(tmp_path / "d", frames=8, elsewhere=COUNT, truth=False)
     pair_set = withheld.pair_set(ACROSS)
