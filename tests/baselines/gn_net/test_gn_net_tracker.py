@@ -66,7 +66,6 @@ def a_query(T_world_cam: np.ndarray, size: tuple[int, int] = (192, 144)) -> Quer
     return Query(key="q", timestamp_ns=2, image=render(camera, T_world_cam)[0], camera=camera)
 
 
-@pytest.mark.thorough
 def test_the_tracker_finds_small_motions(weights: Path, dataset: Dataset) -> None:
     tracker = GnNet(weights=weights)
     assert isinstance(tracker, SupportsPrepare)
@@ -83,7 +82,6 @@ def test_the_tracker_finds_small_motions(weights: Path, dataset: Dataset) -> Non
         assert 0 < found.confidence <= 1
 
 
-@pytest.mark.thorough
 def test_another_place_is_answered_with_less_confidence(weights: Path, dataset: Dataset) -> None:
     """Confidence must compare between queries and keyframes; turned upside down, a query shows none of the keyframe."""
     tracker = GnNet(weights=weights, min_agreement=0.0, most_rival=None)

@@ -296,8 +296,6 @@ WEIGHTS = {
 }
 
 
-@pytest.mark.thorough
-@pytest.mark.thorough
 @pytest.mark.parametrize("name", list(WEIGHTS))
 def test_every_tracker_answers(drawn: Callable[[str], Path], views: tuple[Reference, Query], name: str) -> None:
     made = TRACKERS[name]

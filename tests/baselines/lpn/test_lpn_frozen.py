@@ -150,7 +150,6 @@ def test_the_same_bytes_whatever_reads_the_batches_and_wherever_the_maps_are(tmp
     assert a.weights.read_bytes() == b.weights.read_bytes() == c.weights.read_bytes()
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["lpn", "lpn-rpp"])
 def test_going_on_after_a_kill_ends_with_the_same_bytes(
     tmp_path: Path, resnet: Path, name: str, monkeypatch: pytest.MonkeyPatch
@@ -214,7 +213,6 @@ def test_a_decorrelation_that_nothing_would_learn_from_is_refused(tmp_path: Path
         train(tmp_path / "out", resnet, "lpn-dwdr", frozen_blocks=1)
 
 
-@pytest.mark.thorough
 def test_retrievers_that_share_maps_answer_as_they_do_alone(
     tmp_path: Path, resnet: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
