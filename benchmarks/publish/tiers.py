@@ -5,9 +5,9 @@ the results on them. A row is a method: the share of the pairs of a tier that it
 across conditions, with its 95 % interval. Districts count alike, and so do the pair sets of a district, as on boards.
 Pairs on the street whose houses repeat themselves stand apart. ``true-matches`` is what perfect matching leaves: PnP
 on the dataset's own visible correspondences, whose pixels in the query are off by 1 px (one sigma, in each direction)
-and whose depths by the error that the map states. With ``--evaluate`` it and the methods are asked first; the
-rows of ALIKED need its authors' weights. ``--picture FILE`` shows a
-pair of each tier, that of median overlap: keyframes above, queries below. The last line is JSON.
+and whose depths by the error that the map states. With ``--evaluate`` it and the methods are asked first; the rows of
+ALIKED need its authors' weights. ``--picture FILE`` shows a pair of each tier, that of median overlap: keyframes above,
+queries below. The last line is JSON.
 """
 
 from __future__ import annotations

@@ -55,8 +55,8 @@ def interrupted(
     ("deed", "workers", "kind", "to_group"),
     [
         ("hang_in_native_code", 1, signal.SIGINT, True),
-        pytest.param("hang", 2, signal.SIGINT, False, marks=pytest.mark.thorough),
-        pytest.param("hang_in_native_code", 1, signal.SIGTERM, False, marks=pytest.mark.thorough),
+        ("hang", 2, signal.SIGINT, False),
+        ("hang_in_native_code", 1, signal.SIGTERM, False),
     ],
 )
 def test_one_signal_ends_an_evaluation_while_its_method_hangs(

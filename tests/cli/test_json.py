@@ -157,10 +157,6 @@ def _scan_of_a_room(folder: Path) -> Path:
     return folder / "room.npy"
 
 
-LONG = ("register",)
-"""commands that take seconds, and that other quick tests run"""
-
-
 def test_the_table_has_every_command() -> None:
     from typer.main import get_command
 
@@ -169,10 +165,7 @@ def test_the_table_has_every_command() -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(
-    "command",
-    [pytest.param(name, marks=pytest.mark.thorough) if name in LONG else name for name in COMMANDS],
-)
+@pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_prints_one_object_with_counts(
     command: str,
     data: SimpleNamespace,

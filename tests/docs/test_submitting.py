@@ -29,7 +29,7 @@ def _commands() -> list[str]:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("rendered", [False, pytest.param(True, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("rendered", [False, True])
 def test_the_walk_leads_from_a_salt_to_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rendered: bool) -> None:
     monkeypatch.chdir(tmp_path)
     Path("docs").symlink_to(ROOT / "docs")

@@ -136,7 +136,7 @@ def test_pages_of_methods_that_left_are_removed(boards: Boards, tmp_path: Path) 
 
 @pytest.mark.thorough
 @needs_browser
-@pytest.mark.parametrize("page", ["light", pytest.param("dark", marks=pytest.mark.thorough)], indirect=True)
+@pytest.mark.parametrize("page", ["light", "dark"], indirect=True)
 def test_every_kind_of_page_opens_from_the_disk_and_is_accessible(page: Any, site: Path) -> None:
     kinds = ["index.html", "reading.html", "method-good.html", next(site.glob("set-*.html")).name]
     for name in kinds:

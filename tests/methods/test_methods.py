@@ -161,7 +161,8 @@ def test_a_setting_for_no_method_of_the_run_is_refused() -> None:
     "method",
     [
         *("identity", "orb-pnp", f"{HERE}:Shift", f"{HERE}:Batched"),
-        *(pytest.param(name, marks=pytest.mark.thorough) for name in ("sift-pnp", "dso")),
+        "sift-pnp",
+        "dso",
     ],
 )
 def test_methods_that_keep_the_contract_pass_the_check(method: str) -> None:

@@ -263,7 +263,7 @@ def test_a_rate_numbers_clouds_in_the_order_that_people_count(drives: list[Stree
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("posed", [True, pytest.param(False, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("posed", [True, False])
 def test_folders_with_a_camera_are_brought_together_by_one_command(
     drives: list[StreetDrive], tmp_path: Path, posed: bool
 ) -> None:

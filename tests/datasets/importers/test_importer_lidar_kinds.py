@@ -138,7 +138,7 @@ def generic_drive(kitti: Path, sequence: str, folder: Path) -> Path:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("camera", ["none", pytest.param("cam0", marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("camera", ["none", "cam0"])
 def test_generic_folders_with_lidar_are_brought_together(kitti_street: Path, tmp_path: Path, camera: str) -> None:
     names = {"00": "summer", "01": "winter"}
     drives = [generic_drive(kitti_street, number, tmp_path / name) for number, name in names.items()]

@@ -140,7 +140,7 @@ def test_another_photograph_beside_it_does_not_change_a_keyframe(tmp_path: Path)
     "path",
     [
         r"pairs/train__train-shading.*\.txt$",
-        pytest.param(r"train-night/images/photo/2000000000\.png$", marks=pytest.mark.thorough),
+        r"train-night/images/photo/2000000000\.png$",
     ],
 )
 def test_a_build_that_was_killed_goes_on_where_it_was(tmp_path: Path, path: str) -> None:

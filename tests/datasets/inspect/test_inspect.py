@@ -171,7 +171,7 @@ def test_sparse_keyframes_are_measured_around_their_points(count: int) -> None:
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     ("px", "verdict"),
-    [pytest.param(25.0, "apart", marks=pytest.mark.thorough), (60.0, "apart"), (200.0, "cannot tell")],
+    [(25.0, "apart"), (60.0, "apart"), (200.0, "cannot tell")],
 )
 def test_large_errors_are_told_as_far_as_the_search_reaches(px: float, verdict: str) -> None:
     reference, query, T_query_ref = two_views((640, 480))

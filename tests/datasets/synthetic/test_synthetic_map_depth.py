@@ -191,9 +191,7 @@ def files(dataset: Dataset) -> Mapping[str, bytes]:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("kind", "workers"), [("points", 1), *(pytest.param(kind, 2, marks=pytest.mark.thorough) for kind in EVERY)]
-)
+@pytest.mark.parametrize(("kind", "workers"), [("points", 1), *((kind, 2) for kind in EVERY)])
 def test_only_the_map_changes_and_the_same_bytes_come_after_a_stop(
     kind: str, workers: int, exact: Dataset, tmp_path: Path
 ) -> None:

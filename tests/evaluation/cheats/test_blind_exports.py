@@ -32,7 +32,7 @@ SPACING_M = 0.15
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("guesses", [1, pytest.param(3, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("guesses", [1, 3])
 def test_who_renders_the_towns_of_guessed_seeds_again_finds_none_that_is_asked(tmp_path: Path, guesses: int) -> None:
     render = cache(lambda seed: render_town(tmp_path / f"guess-{seed}", "32x32", seed))
     open_town, closed_town = render(0), render_town(tmp_path / "closed", "32x32", 0, salt_file(tmp_path))

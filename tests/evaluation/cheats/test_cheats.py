@@ -198,7 +198,7 @@ def test_seconds_are_measured_where_the_method_cannot_reach(asked: dict[str, Met
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("how", [pytest.param("pickle", marks=pytest.mark.thorough), "early"])
+@pytest.mark.parametrize("how", ["pickle", "early"])
 def test_a_process_that_sends_no_answer_costs_its_pairs_and_later_methods_run(tmp_path: Path, how: str) -> None:
     few = make_small_dataset(tmp_path / "few", pairs=2)
     cheat, identity = Context().run(

@@ -202,7 +202,7 @@ def test_one_worker_is_another_process_and_none_is_this_one(
     ("deed", "words"),
     [
         ("leave", "exit status 3"),
-        pytest.param("hang_in_native_code", "longer than", marks=pytest.mark.thorough),
+        ("hang_in_native_code", "longer than"),
     ],
 )
 def test_an_image_on_which_a_retriever_ends_its_process_costs_itself_alone(
