@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any, Literal
 
 import torch
@@ -68,7 +68,7 @@ class OpenVinoNet(FeatureNet):
             )
         # Where a CPU has bfloat16, OpenVINO would take it by itself.
         exact = {"INFERENCE_PRECISION_HINT": "f32", "INFERENCE_NUM_THREADS": torch.get_num_threads(), "NUM_STREAMS": 1}
-        return self._openvino.Core().compile_model(model, "CPU", exact)
+        return _core().compile_model(model, "CPU", exact)
 
 
 class _ChannelsLast(nn.Module):
@@ -93,3 +93,14 @@ def _imported() -> Any:
             raise
         raise MethodError("engine 'openvino' needs the package openvino: pip install 'relocbench[fast]'") from bad
     return openvino
+
+
+@cache
+def _core() -> Any:
+    """The one core of OpenVINO of this process, which lives as long.
+
+    Each core sets the alternate stack for signals (sigaltstack(2)) and gives back the one that it found. Of two cores
+    that end in the order of their making, the stack of the first, which is gone by then, would remain set, and the next
+    signal with a handler would end the process.
+    """
+    return _imported().Core()

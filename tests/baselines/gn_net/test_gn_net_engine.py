@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from dataclasses import replace
 
@@ -71,6 +72,32 @@ def test_images_that_are_too_small_are_refused_as_by_torch() -> None:
     net = on_engine(FeatureNet(SMALL), "openvino", "cpu")
     with refused(ValueError, "", None, "5x5", "8x8"):
         net.with_confidences(torch.zeros(1, 3, 5, 5))
+
+
+SIGNAL_AFTER_NETWORKS = """
+import faulthandler, gc, signal
+faulthandler.enable()
+import torch
+from baselines.gn_net.engine import on_engine
+from baselines.gn_net.network import FeatureNet
+from baselines.gn_net.options import NetworkOptions
+made = [on_engine(FeatureNet(NetworkOptions(widths=(4,), dim=2, levels=1)), "openvino", "cpu") for _ in range(2)]
+for net in made:
+    net.with_confidences(torch.zeros(1, 3, 16, 16))
+del net
+while made:
+    made.pop(0)
+    gc.collect()
+signal.signal(signal.SIGUSR1, lambda number, frame: print("handled"))
+signal.raise_signal(signal.SIGUSR1)
+"""
+
+
+@pytest.mark.thorough
+def test_a_signal_is_handled_after_networks_have_gone() -> None:
+    needs_openvino()
+    done = subprocess.run([sys.executable, "-c", SIGNAL_AFTER_NETWORKS], check=False, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "handled\n"), done.stderr
 
 
 def test_without_the_package_one_line_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
