@@ -77,6 +77,7 @@ def test_the_reliability_table_counts_answers_and_faults() -> None:
     assert [(row["answers"], row["right"]) for row in told["bins"]] == [(2, 0.5), (5, 3 / 5)]
 
 
+@pytest.mark.thorough
 def test_every_method_of_the_script_has_a_calibration_of_its_evidence() -> None:
     constants = [value for value in vars(kept).values() if isinstance(value, Calibration)]
     for name, make in script.METHODS.items():

@@ -47,6 +47,7 @@ def ramp() -> Array:
     return np.stack([value, np.full_like(value, slopes[0]), np.full_like(value, slopes[1])], axis=-1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("huber", [1e6, 2.0])
 def test_gradient_is_half_the_derivative_of_the_energy(huber: float) -> None:
     rng = np.random.default_rng(5)

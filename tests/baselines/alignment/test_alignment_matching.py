@@ -42,6 +42,7 @@ def test_coarse_levels_widen_the_basin() -> None:
     assert one < 0.5 * all_of_them
 
 
+@pytest.mark.thorough
 def test_four_feature_channels_place_a_single_pixel() -> None:
     uv, shift = pixels(), (-1.3, 2.2)
     reference, query = (levels(*(view(s, seed) for seed in range(4))) for s in ((0.0, 0.0), shift))

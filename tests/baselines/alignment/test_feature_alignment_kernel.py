@@ -84,6 +84,7 @@ def ramps(channels: int) -> Array:
     return np.asarray(u[..., None] * slopes[0] + v[..., None] * slopes[1] + rng.uniform(0, 50, channels))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("channels", [1, 4, 16])
 @pytest.mark.parametrize("per_channel", [False, True])
 @pytest.mark.parametrize("huber", [1e6, 2.0])
@@ -243,6 +244,7 @@ def test_a_point_that_reads_a_number_that_is_not_finite_is_told(
     assert found.statistics[NOT_FINITE_POINTS] == 1
 
 
+@pytest.mark.thorough
 def test_iterating_allocates_nothing() -> None:
     rng = np.random.default_rng(0)
     level_map = rng.normal(size=(60, 80, 4)).astype(np.float32)

@@ -112,6 +112,7 @@ def test_pose_is_right_for_each_camera_model_on_either_side(
     assert result.info["reprojection_rms_px"] < 1.5
 
 
+@pytest.mark.thorough
 @TRACKERS
 def test_sparse_map_points_are_enough(tracker: OrbPnp) -> None:
     dense = reference()
@@ -135,6 +136,7 @@ def test_colour_and_grey_images_give_the_same_pose(tracker: OrbPnp) -> None:
     np.testing.assert_array_equal(a.T_query_ref, b.T_query_ref)
 
 
+@pytest.mark.thorough
 @TRACKERS
 def test_same_inputs_give_the_same_bytes(tracker: OrbPnp) -> None:
     first = tracker.track(tracker.prepare(reference()), query())
@@ -271,6 +273,7 @@ def test_exact_points_give_the_exact_pose_despite_outliers(camera: Camera) -> No
     assert refined.rms_px < 1e-4
 
 
+@pytest.mark.thorough
 def test_stated_uncertainty_agrees_with_the_scatter_of_the_poses() -> None:
     """The covariance of 60 poses from points with 0.5 px of noise, per axis within a factor of 1.5."""
     rng = np.random.default_rng(2)
@@ -384,6 +387,7 @@ def test_depth_is_not_interpolated_across_an_edge() -> None:
     assert np.isin(np.round(found, 9), [0.5, 0.1]).all()
 
 
+@pytest.mark.thorough
 def test_the_reach_follows_the_density_of_the_map_and_the_size_of_the_image() -> None:
     rng = np.random.default_rng(0)
     dense, thin = (rng.uniform(0, 1900, (count, 2)) for count in (900_000, 20_000))
@@ -417,6 +421,7 @@ def test_matching_is_distinctive_mutual_and_one_to_one() -> None:
     assert len(np.unique(every[:, 1])) == len(every)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["orb", "sift"])
 def test_keypoints_have_no_bias_towards_a_corner(kind: str) -> None:
     """Rotating an image by half a turn maps (u, v) to (W-1-u, H-1-v): so it must the keypoints of every scale."""

@@ -88,6 +88,7 @@ def test_colours_find_places_of_other_colours() -> None:
     assert sorted(one)[-1] == 1
 
 
+@pytest.mark.thorough
 def test_images_of_one_view_are_retrieved_between_conditions() -> None:
     data = made_places(6, 3)
     drones = [each for each in data.images if each.image.view == "drone"]

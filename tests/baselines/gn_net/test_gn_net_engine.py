@@ -30,6 +30,7 @@ def needs_openvino() -> None:
     pytest.importorskip("openvino", reason="the extra 'fast' is not installed")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("options", "asked"),
     [(SMALL, [((1, 1, 37, 50), 0)]), (LITE, [((1, 3, 48, 64), 0), ((1, 3, 48, 64), 2)])],
@@ -50,6 +51,7 @@ def test_maps_are_those_of_torch(options: NetworkOptions, asked: list[tuple[tupl
                 torch.testing.assert_close(other, one, rtol=0, atol=1e-5 * float(one.abs().max()))
 
 
+@pytest.mark.thorough
 def test_the_shipped_weights_give_the_same_pose() -> None:
     needs_openvino()
     camera = small_camera(*SIZE)

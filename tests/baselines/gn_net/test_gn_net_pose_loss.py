@@ -266,6 +266,7 @@ def test_a_training_with_the_pose_loss_logs_how_far_points_are_off(tmp_path: Pat
     assert all(f"{level}/{part}" in header for level in (0, 1) for part in ("pose", "start_px", "end_px", "reached"))
 
 
+@pytest.mark.thorough
 def test_confidences_are_learnt_from_the_pose_loss(tmp_path: Path) -> None:
     changed = {"network": {**TINY["network"], "confidence": True}, "swap": 0.0, "ema": 0.0, "learning_rate": 0.01}
     loss = {"level_weights": [1.0, 1.0], "pose": {"weight": 1.0, "points": 64}}

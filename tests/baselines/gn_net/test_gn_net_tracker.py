@@ -66,6 +66,7 @@ def a_query(T_world_cam: np.ndarray, size: tuple[int, int] = (192, 144)) -> Quer
     return Query(key="q", timestamp_ns=2, image=render(camera, T_world_cam)[0], camera=camera)
 
 
+@pytest.mark.thorough
 def test_the_tracker_finds_small_motions(weights: Path, dataset: Dataset) -> None:
     tracker = GnNet(weights=weights)
     assert isinstance(tracker, SupportsPrepare)
@@ -82,6 +83,7 @@ def test_the_tracker_finds_small_motions(weights: Path, dataset: Dataset) -> Non
         assert 0 < found.confidence <= 1
 
 
+@pytest.mark.thorough
 def test_another_place_is_answered_with_less_confidence(weights: Path, dataset: Dataset) -> None:
     """Confidence must compare between queries and keyframes; turned upside down, a query shows none of the keyframe."""
     tracker = GnNet(weights=weights, min_agreement=0.0, most_rival=None)
@@ -407,6 +409,7 @@ def test_weights_are_given_by_path(weights: Path, tmp_path: Path) -> None:
         parse_method("gn-net", [f"weights={weights}", "device=abacus"]).create()
 
 
+@pytest.mark.thorough
 def test_answers_do_not_depend_on_what_was_asked_before(weights: Path) -> None:
     queries = [a_query(small_pose(frame)) for frame in (1, 2)]
     fresh = [GnNet(weights=weights) for _ in queries]

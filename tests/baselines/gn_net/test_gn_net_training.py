@@ -121,6 +121,7 @@ def test_a_training_goes_on_from_the_weights_of_another(tmp_path: Path) -> None:
         train(tmp_path / "later", start=str(earlier), steps=2, learning_rate=1e-12, weight_decay=0.0, ema=0.0)
 
 
+@pytest.mark.thorough
 def test_weights_to_start_from_must_be_of_the_same_network(tmp_path: Path) -> None:
     earlier = train(tmp_path / "earlier", steps=1).weights
     with refused(MethodError, "", None, "dim", 4, 6):
@@ -129,6 +130,7 @@ def test_weights_to_start_from_must_be_of_the_same_network(tmp_path: Path) -> No
         train(tmp_path / "later", start=str(tmp_path / "nowhere.safetensors"))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("ema", [pytest.param(0.0, marks=pytest.mark.thorough), 0.9])
 def test_going_on_after_a_kill_ends_with_the_same_bytes(tmp_path: Path, ema: float) -> None:
     whole, cut = tmp_path / "whole", tmp_path / "cut"
@@ -146,6 +148,7 @@ def test_going_on_after_a_kill_ends_with_the_same_bytes(tmp_path: Path, ema: flo
     assert all(torch.equal(last[name], other[name]) for name in other)
 
 
+@pytest.mark.thorough
 def test_a_finished_training_is_not_begun_again(tmp_path: Path) -> None:
     first = train(tmp_path)
     before = (tmp_path / "weights.safetensors").read_bytes()
@@ -179,6 +182,7 @@ def _by(name: str, value: float) -> tuple[dict[str, dict[str, float]], dict[str,
     return {name: {"t_auc@0.5m": value}}, {name: 3}
 
 
+@pytest.mark.thorough
 def test_another_training_does_not_go_on_in_the_same_folder(tmp_path: Path) -> None:
     train(tmp_path)
     with refused(MethodError, "", None, "options.seed", 0, 1):
@@ -202,6 +206,7 @@ def test_unknown_options_are_refused_by_name(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.thorough
 def test_pairs_without_correspondences_in_view_do_not_break_a_step(tmp_path: Path) -> None:
     class Blind(MadePairs):
         def load(self, index: int) -> Any:

@@ -296,6 +296,7 @@ WEIGHTS = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", list(WEIGHTS))
 def test_every_tracker_answers(drawn: Callable[[str], Path], views: tuple[Reference, Query], name: str) -> None:
     made = TRACKERS[name]
@@ -337,6 +338,7 @@ def test_what_is_published_is_what_is_looked_for(
     assert set(made.files().values()) == set(places)
 
 
+@pytest.mark.thorough
 def test_without_a_matcher_one_line_says_which_file_goes_where(
     drawn: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

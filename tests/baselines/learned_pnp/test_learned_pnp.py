@@ -45,6 +45,7 @@ def pattern(height: int, width: int, seed: int = 0) -> Image:
     return np.asarray(cv2.GaussianBlur(whole, (0, 0), 1.0), dtype=np.uint8)
 
 
+@pytest.mark.thorough
 def test_remembered_features_are_those_that_the_network_finds(drawn: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     images = [pattern(96, 128, seed) for seed in (0, 1, 2)]
     forgetful, detector = (Aliked(drawn, 200, 1280, "cpu", cache_size, model="t16") for cache_size in (0, 2))

@@ -56,6 +56,7 @@ def test_a_backbone_stands_on_the_straight_way_from_imagenet_to_what_was_trained
             assert torch.allclose(between[name].double(), expected, rtol=1e-4, atol=1e-5), name
 
 
+@pytest.mark.thorough
 def test_the_share_decides_descriptors_and_is_told(weights: Path) -> None:
     images = [ImageView(f"{n}", "drone", partial(picture, n, "drone", 0, 64)) for n in range(3)]
     plain, half = Lpn(weights=weights), Lpn(weights=weights, trained_share=0.5)

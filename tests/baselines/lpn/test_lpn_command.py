@@ -140,6 +140,7 @@ def test_drives_become_weights_that_retrieve_along_streets(tmp_path: Path) -> No
     assert np.allclose(np.linalg.norm(described, axis=1), 1)
 
 
+@pytest.mark.thorough
 def test_a_folder_becomes_weights_that_evaluate_runs(university: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     done = train(university, out, "--validation-places", 0.34, "--json")

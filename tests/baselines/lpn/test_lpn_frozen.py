@@ -150,6 +150,7 @@ def test_the_same_bytes_whatever_reads_the_batches_and_wherever_the_maps_are(tmp
     assert a.weights.read_bytes() == b.weights.read_bytes() == c.weights.read_bytes()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["lpn", "lpn-rpp"])
 def test_going_on_after_a_kill_ends_with_the_same_bytes(
     tmp_path: Path, resnet: Path, name: str, monkeypatch: pytest.MonkeyPatch
@@ -171,6 +172,7 @@ def test_going_on_after_a_kill_ends_with_the_same_bytes(
     assert (tmp_path / "cut" / "weights.safetensors").read_bytes() == whole.weights.read_bytes()
 
 
+@pytest.mark.thorough
 def test_trainings_that_see_other_maps_do_not_share_files(tmp_path: Path, resnet: Path) -> None:
     def names(data: PlaceData | None = None, **other: Any) -> set[str]:
         options = options_of(resnet, **other)
@@ -213,6 +215,7 @@ def test_a_decorrelation_that_nothing_would_learn_from_is_refused(tmp_path: Path
         train(tmp_path / "out", resnet, "lpn-dwdr", frozen_blocks=1)
 
 
+@pytest.mark.thorough
 def test_retrievers_that_share_maps_answer_as_they_do_alone(
     tmp_path: Path, resnet: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

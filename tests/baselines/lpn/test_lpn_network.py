@@ -213,6 +213,7 @@ def test_attention_acts_after_the_stages_that_are_named() -> None:
 # Backbone
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "build"), [pytest.param("resnet18", resnet18, marks=pytest.mark.thorough), ("resnet50", resnet50)]
 )

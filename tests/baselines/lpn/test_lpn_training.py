@@ -185,6 +185,7 @@ class Scores:
         return ValidationScores(values, {"drone-satellite": {**values, "chance R@1": 0.25}}, {"drone-satellite": 8})
 
 
+@pytest.mark.thorough
 def test_the_weights_that_validate_best_in_the_last_stage_are_kept(tmp_path: Path) -> None:
     report = train(tmp_path, "lpn-heatmap", Scores(0.9, 0.2, 0.4, 0.3), epochs={"uniform": 1, "heatmap": 3})
     assert (report.best_step, report.scores.together if report.scores else None) == (3, {"R@1": 0.4})
@@ -232,6 +233,7 @@ def test_a_trial_says_what_chance_scores_and_when_all_images_look_alike() -> Non
 # Starts
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("without_curves")
 def test_a_configuration_starts_from_trained_rings(tmp_path: Path, trained: Path) -> None:
     told = Notes()
@@ -246,6 +248,7 @@ def test_a_configuration_starts_from_trained_rings(tmp_path: Path, trained: Path
         train(tmp_path / "d", start="none.safetensors")
 
 
+@pytest.mark.thorough
 def test_a_backbone_from_a_file_is_told_and_learns_at_the_recipes_rates(tmp_path: Path) -> None:
     torch.manual_seed(0)
     path = tmp_path / "resnet18.pth"

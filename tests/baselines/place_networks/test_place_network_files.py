@@ -42,6 +42,7 @@ def test_each_backbone_is_told_by_its_layers(name: BackboneName) -> None:
     assert backbone_of({}, "b") is None
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["netvlad", "megaloc"])
 def test_all_forms_of_a_file_give_the_same_descriptors(drawn: Callable[[str], Path], tmp_path: Path, name: str) -> None:
     state = STATES[name]()

@@ -159,6 +159,7 @@ def test_fetching_shows_source_and_licence_and_asks(tmp_path: Path, monkeypatch:
     assert not (tmp_path / "hub").exists()
 
 
+@pytest.mark.thorough
 def test_the_command_evaluates_a_network_from_its_file_to_the_page(
     drawn: Callable[[str], Path], tmp_path: Path
 ) -> None:

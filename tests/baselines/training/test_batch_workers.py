@@ -5,6 +5,8 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
+
 READER_THAT_ENDS_EARLY = """
 import os, socket, sys
 from multiprocessing import resource_sharer
@@ -19,6 +21,7 @@ resource_sharer.stop(timeout=10)
 """
 
 
+@pytest.mark.thorough
 def test_nothing_is_printed_when_the_training_ends_while_a_tensor_is_handed_over() -> None:
     """As after a Ctrl-C; without the worker's own way it is a traceback, which shows that the case is made."""
 

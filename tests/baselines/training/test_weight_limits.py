@@ -186,6 +186,7 @@ def test_what_torch_would_run_unpack_or_fill_is_refused(tmp_path: Path, case: st
     assert_one_line(caught, path, "cannot be read as weights: ")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("archived", [True, False])
 def test_backbones_of_both_formats_of_torch_are_read(tmp_path: Path, archived: bool) -> None:
     given, taken = (make_backbone("resnet18", 1, torch.Generator().manual_seed(seed)) for seed in (1, 2))
