@@ -1,16 +1,28 @@
 #!/usr/bin/env bash
 # Reproduce the results in leaderboard/retrieval/: datasets and trainings in a scratch folder, tables in the repository.
-#   tools/publish_retrieval.sh SCRATCH [SAMPLE]
-# SAMPLE holds sample_drone.jpg and sample_satellite.jpg. It takes some hours on two cores; a second run does
-# what is missing.
+#   tools/publish_retrieval.sh SCRATCH SAMPLE [OUT]
+# SAMPLE holds sample_drone.jpg and sample_satellite.jpg; where it is empty, pages on real pairs are left out. It takes
+# some hours on two cores; a second run does what is missing. With another folder OUT nothing is trained or evaluated:
+# the pages follow from the published archives, and go there.
 set -euo pipefail
-mkdir -p "${1:?usage: tools/publish_retrieval.sh SCRATCH [SAMPLE]}"
+mkdir -p "${1:?usage: tools/publish_retrieval.sh SCRATCH SAMPLE [OUT]}" ${3:+"$3"}
 scratch=$(realpath "$1")
 sample=${2:+$(realpath "$2")}
+again=${3:+$(realpath "$3")}
 cd "$(dirname "$0")/.."
 repository=$PWD
+pages=$PWD/leaderboard/retrieval
 export PATH="$PWD/${VENV:-.venv}/bin:$PATH"
 export PYTHONPATH="$PWD${PYTHONPATH:+:$PYTHONPATH}"
+compare() { # SCRATCH TEST PAGES OPTION...: systems on a test set and, where it is given, on the sample
+  local folder=$1 test=$2 of=$3 published=()
+  shift 3
+  [ -z "$again" ] || published=(--published "$pages/$of/predictions.tar.xz" ${sample:+"$pages/$of/real/predictions.tar.xz"})
+  python "$repository/benchmarks/publish/lpn_configurations.py" --train train --test "$test" ${sample:+"$sample"} \
+    --scratch "$folder" --out "${again:-$pages}/$of" ${sample:+"${again:-$pages}/$of/real"} "${published[@]}" \
+    --backbone-weights imagenet --set network.backbone=efficientnet-lite0 --set size=128 --jobs 2 --workers 0 "$@"
+}
+
 cd "$scratch" # cards and pages name files relative to this folder
 
 views=(--drone-views 12 --size 128 --conditions Sunny,Sunny,Overcast,Rain,Snow)
@@ -21,31 +33,29 @@ relocbench build-dataset cross-view --split test --places 90 --distractors 30 --
 # Systems with masks are left out: at these rates, which suit the others, their training diverges (docs/lpn.md). They are
 # in the second comparison.
 configurations=(global-average lpn lpn-branch5 lpn-branch7 lpn-attention-residual lpn-attention lpn-dmli lpn-rpp lpn-dwdr)
-python "$repository/benchmarks/publish/lpn_configurations.py" --train train --test test ${sample:+"$sample"} --scratch systems \
-  --out "$repository/leaderboard/retrieval" ${sample:+"$repository/leaderboard/retrieval/real"} \
-  --config "${configurations[@]}" --backbone-weights imagenet --set network.backbone=efficientnet-lite0 \
-  --set size=128 --set backbone_rate=1e-3 \
-  --set rate=1e-2 --set network.dropout=0.25 --set epochs.all=12 --set epochs.classifier=2 --set epochs.refined=6 \
-  --set epochs.heatmap=6 \
-  --jobs 2 --workers 0
+compare systems test . --config "${configurations[@]}" --set backbone_rate=1e-3 --set rate=1e-2 --set network.dropout=0.25 \
+  --set epochs.all=12 --set epochs.classifier=2 --set epochs.refined=6 --set epochs.heatmap=6
 
 # The systems that differ behind the backbone, which is frozen, so that many steps and seeds cost little.
 relocbench build-dataset cross-view --split test --seed 1 --places 400 --drone-views 3 --size 128 \
   --conditions Sunny,Overcast,Rain,Snow --out test-400 -q
 configurations=(global-average lpn lpn-dmli lpn-rpp lpn-heatmap lpn-heatmap-scratch lpn-heatmap-log lpn-heatmap-power)
-python "$repository/benchmarks/publish/lpn_configurations.py" --train train --test test-400 ${sample:+"$sample"} --scratch frozen \
-  --out "$repository/leaderboard/retrieval/frozen" ${sample:+"$repository/leaderboard/retrieval/frozen/real"} \
-  --config "${configurations[@]}" --backbone-weights imagenet --set network.backbone=efficientnet-lite0 \
-  --set size=128 --set frozen=layer3 --set frozen_blocks=5 --set versions.drone=2 --set versions.satellite=10 --set maps=maps \
-  --set rate=1e-2 --set network.dropout=0.25 --set epochs.all=60 --set epochs.classifier=30 --set epochs.refined=25 \
-  --set epochs.heatmap=60 --set 'lpn-heatmap*.network.heatmap.heat=mean' \
-  --jobs 2 --workers 0
+compare frozen test-400 frozen --config "${configurations[@]}" --set frozen=layer3 --set frozen_blocks=5 \
+  --set versions.drone=2 --set versions.satellite=10 --set maps=maps --set rate=1e-2 --set network.dropout=0.25 \
+  --set epochs.all=60 --set epochs.classifier=30 --set epochs.refined=25 --set epochs.heatmap=60 \
+  --set 'lpn-heatmap*.network.heatmap.heat=mean'
 
 if [ -n "$sample" ]; then
-  asked=(-m random -m colour-histogram -m orb-bow)
-  for seed in 0 1 2; do
-    asked+=(-m "lpn-seed$seed=lpn" --set "lpn-seed$seed.weights=systems/lpn-seed$seed/weights.safetensors")
-  done
-  relocbench evaluate-retrieval -d "$sample" --out real -q "${asked[@]}"
-  relocbench leaderboard real --dataset "$sample" --out "$repository/leaderboard/retrieval/real" -q
+  if [ -n "$again" ]; then
+    mkdir -p real
+    tar -xJf "$pages/real/retrievers.tar.xz" -C real
+  else
+    asked=(-m random -m colour-histogram -m orb-bow)
+    for seed in 0 1 2; do
+      asked+=(-m "lpn-seed$seed=lpn" --set "lpn-seed$seed.weights=systems/lpn-seed$seed/weights.safetensors")
+    done
+    relocbench evaluate-retrieval -d "$sample" --out real --keep 10 -q "${asked[@]}"
+    python "$repository/benchmarks/publish/archives.py" real "$pages/real/retrievers.tar.xz"
+  fi
+  relocbench leaderboard real --dataset "$sample" --out "${again:-$pages}/real" -q
 fi

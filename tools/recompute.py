@@ -2,8 +2,8 @@
 
 Without recordings, pages are printed again from the errors that are published beside them. With recordings, the
 small datasets are built again from their recipes, every error is computed anew from the published predictions, and the
-pages are printed from these. With ``--render`` the same is done for the full pipeline, and for editions, whose
-districts take hours to render.
+pages are printed from these. With ``--render`` the same is done for retrieval, for the full pipeline, and for editions,
+whose districts take hours to render.
 
     python tools/recompute.py [--recordings FOLDER] [--render] [--scratch FOLDER] [--leaderboard leaderboard]
 
@@ -71,12 +71,13 @@ def findings(leaderboard: Path, scratch: Path, recordings: Path | None, render: 
         "real/real.md": lambda: real(leaderboard, scratch),
         "real/michigan.md": lambda: shifts(leaderboard, scratch, recordings),
         "relocalization/relocalization.md": lambda: relocalization(leaderboard, scratch, render),
+        "retrieval/lpn_configurations.md": lambda: retrieval(leaderboard, scratch, recordings, render),
     }
     for page in published.PAGES:
         name = page.path.removeprefix("leaderboard/")
         if name in handled:
             yield from handled[name]()
-        elif not name.startswith("edition/"):
+        elif not name.startswith(("edition/", "retrieval/")):
             reason = (
                 f"cannot be recomputed: neither predictions nor errors are published; `{page.command}` evaluates anew"
             )
@@ -99,6 +100,28 @@ def relocalization(leaderboard: Path, scratch: Path, render: bool, *options: obj
     for path in sorted({*folder.glob("*.md"), *folder.glob("*.csv")}):
         page = f"relocalization/{path.name}"
         yield compared(page, _PREDICTIONS, path, scratch / page)
+
+
+def retrieval(leaderboard: Path, scratch: Path, recordings: Path | None, render: bool) -> Iterator[Finding]:
+    """The pages of retrieval across views, from ranks and rendered places, and of real pairs where they are at hand."""
+    folder, again = leaderboard / "retrieval", scratch / "retrieval_pages"
+    sample = None if recordings is None else recordings / "university1652_sample"
+    pages = [path.relative_to(folder) for path in sorted({*folder.rglob("*.md"), *folder.rglob("*.csv")})]
+    missing = any(not any((folder / page).parent.glob("*.tar.xz")) for page in pages)
+    run = render and not missing
+    if run:
+        script = ROOT / "tools" / "publish_retrieval.sh"
+        subprocess.run([script, scratch / "retrieval", sample or "", again], check=True, stdout=sys.stderr)
+    for page in pages:
+        name = f"retrieval/{page}"
+        if missing:
+            told = "cannot be recomputed: no ranks published; `make leaderboard-retrieval` trains and evaluates anew"
+            yield Finding(name, _PREDICTIONS, told)
+        elif not run or (sample is None and "real" in page.parts):
+            told = "not recomputed: no --render to render places" if not run else "not recomputed: no --recordings"
+            yield Finding(name, _PREDICTIONS, told)
+        else:
+            yield compared(name, _PREDICTIONS, folder / page, again / page)
 
 
 def edition(page: Path, scratch: Path, render: bool) -> Iterator[Finding]:

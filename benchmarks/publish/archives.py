@@ -1,6 +1,7 @@
 """Archives of results for publication: of a method in a dataset its records, answers and errors.
 
-python benchmarks/publish/archives.py RESULTS OUT       # OUT/DATASET/METHOD.tar.xz of every method
+python benchmarks/publish/archives.py RESULTS OUT            # OUT/DATASET/METHOD.tar.xz of every method
+python benchmarks/publish/archives.py RESULTS OUT.tar.xz     # one archive of everything
 """
 
 from __future__ import annotations
@@ -33,9 +34,13 @@ def pack(results: Path, dataset: str, label: str, out: Path) -> None:
     _write(files, results, out)
 
 
-def pack_folder(results: Path, out: Path) -> None:
-    """Pack everything below a results folder into one archive; the same results give the same bytes."""
-    _write(sorted(path for path in results.rglob("*") if path.is_file()), results, out)
+def pack_folder(results: Path, out: Path, *patterns: str) -> None:
+    """Pack all records, answers and errors below a folder, or those of some patterns, into one archive.
+
+    The same results give the same bytes.
+    """
+    found = {path for pattern in patterns or ("**/*",) for path in results.glob(pattern) if path.is_file()}
+    _write(sorted(found), results, out)
 
 
 def _write(files: Iterable[Path], results: Path, out: Path) -> None:
@@ -73,6 +78,9 @@ def extract(path: Path, to: Path) -> None:
 
 if __name__ == "__main__":
     all_results, to = map(Path, sys.argv[1:])
+    if to.suffix == ".xz":
+        pack_folder(all_results, to)
+        sys.exit()
     for folder in sorted(all_results.glob("*@*/*/")):
         name = folder.parent.name.partition("@")[0]
         pack(all_results, name, folder.name, to / name / f"{folder.name}.tar.xz")

@@ -14,10 +14,13 @@ Beside the direction from drone to satellite are the numbers that the log of tri
 University-1652: ANOTHER data set, with another backbone. Only the order of systems can be compared, and differences in
 its first block are noise.
 
-Trainings and results are kept in --scratch; when it is run again, only what is missing is done.
+Trainings and results are kept in --scratch; when it is run again, only what is missing is done. Beside each page goes
+``predictions.tar.xz``: what was retrieved first for each query, all ranks, and the logs of the trainings. With
+--published such archives are read in place of training and asking anybody, and every rank is checked against the truth.
 
     python benchmarks/publish/lpn_configurations.py --train TRAIN --test TEST [TEST ...] --scratch S [--config NAME ...]
         [--seed N ...] [--set key=value ...] [--out leaderboard/retrieval [FOLDER ...]] [--device cpu] [--jobs N]
+        [--published leaderboard/retrieval/predictions.tar.xz [ARCHIVE ...]]
 
 The last line is JSON.
 """
@@ -32,13 +35,14 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from archives import extract, pack_folder
 from lpn_order import Pair, agreement, pairs, scatter
 
 from baselines.lpn.configurations import CONFIGURATIONS, FROM_ABOVE, REPLACED_PARTITION_LOSS, configuration
@@ -50,7 +54,8 @@ from relocbench.arrays import Array
 from relocbench.cli.console import reporter
 from relocbench.datasets.cross_view import CrossViewSet, open_cross_view
 from relocbench.errors import ConfigError, RelocbenchError
-from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, RetrievalReport, evaluate_retrievers
+from relocbench.evaluation.common.folders import sets_in
+from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.retrieval.records import SetResults
 from relocbench.evaluation.retrieval.rescoring import RetrievalTruth
 from relocbench.evaluation.retrieval.score import checked_answers, scores_of
@@ -77,6 +82,9 @@ LOGGED = "drone-satellite"
 """the direction that the log of trials reports"""
 FIRST = "lpn"
 """the configuration that others start from"""
+KEPT = 10
+"""so many retrieved images of each query are kept and published"""
+ARCHIVE = "predictions.tar.xz"
 
 ByPlace = dict[str, dict[str, Array]]
 """by direction and metric: (P,) one value for each place, whose mean is the mean over all queries, 0 to 1"""
@@ -191,34 +199,50 @@ def options_of(name: str, given: argparse.Namespace) -> TrainOptions:
 
 
 def ask(
-    given: argparse.Namespace, test: Path, methods: dict[str, str], settings: Sequence[str] = ()
-) -> RetrievalReport:
-    """Evaluate several labelled retrievers on a test set."""
-    options = RetrievalOptions(
-        dataset=test,
-        methods=tuple(f"{label}={target}" for label, target in methods.items()),
-        set=tuple(settings),
-        out=Path(given.scratch) / "results",
-        pair_sets=DIRECTIONS,
-        workers=0,  # retrievers of one process share the maps of a frozen backbone
-    )
-    return evaluate_retrievers(options, reporter(given.quiet))
+    given: argparse.Namespace, test: CrossViewSet, methods: dict[str, str], settings: Sequence[str] = ()
+) -> SetResults:
+    """The results of several labelled retrievers on a test set, which are evaluated unless they are published."""
+    results = Path(given.scratch) / "results"
+    if not given.published:
+        options = RetrievalOptions(
+            dataset=test.root,
+            methods=tuple(f"{label}={target}" for label, target in methods.items()),
+            set=tuple(settings),
+            out=results,
+            pair_sets=DIRECTIONS,
+            keep=KEPT,
+            workers=0,  # retrievers of one process share the maps of a frozen backbone
+        )
+        evaluate_retrievers(options, reporter(given.quiet))
+    return results_on(test, results)
 
 
-def answers(report: RetrievalReport, test: CrossViewSet) -> dict[str, ByPlace]:
-    """What the retrievers of a report answered, by label.
+def results_on(test: CrossViewSet, results: Path) -> SetResults:
+    """The folder with results on a test set, or on a copy of it whose pixels are not the same to the last bit.
+
+    Raises:
+        RelocbenchError: there is none.
+    """
+    found = [of for of in sets_in(results, SetResults) if of.record.name == test.name]
+    if not found:
+        raise RelocbenchError(f"expected results on '{test.name}'", results)
+    return max(found, key=lambda of: of.record.fingerprint == test.fingerprint)
+
+
+def answers(results: SetResults, labels: Iterable[str], test: CrossViewSet) -> dict[str, ByPlace]:
+    """What retrievers answered, by label.
 
     Raises:
         PredictionError: a file of answers is damaged, or ranks do not follow from the retrieved images and the test
             set.
     """
-    truth = RetrievalTruth(SetResults(report.results), test)
+    truth = RetrievalTruth(results, test)
     out: dict[str, ByPlace] = {}
-    for folder in report.folders:
+    for folder in map(results.method, labels):
         keep = folder.run_record().keep
         out[folder.label] = {}
         for direction in DIRECTIONS:
-            record = report.record.tasks[direction]
+            record = results.record.tasks[direction]
             rows = checked_answers(direction, record, folder)
             truth.confirmed(folder, direction, keep, rows)
             scores, places = scores_of(rows, record), [row.group for row in rows]
@@ -239,17 +263,21 @@ def rows_of(given: argparse.Namespace, weights: dict[tuple[str, int], Path], tes
     rows, seeds = [], given.seed
     for name in given.config:
         labels = {f"{name}-seed{seed}": "lpn" for seed in seeds}
-        settings = [f"{name}-seed{seed}.weights={weights[trained_by(name), seed]}" for seed in seeds]
+        settings = [
+            f"{name}-seed{seed}.weights={weights[trained_by(name), seed]}"
+            for seed in seeds
+            if (trained_by(name), seed) in weights
+        ]
         settings += [f"{label}.config={name}" for label in labels] + [
             f"{label}.device={given.device or 'cpu'}" for label in labels
         ]
         if (options := options_of(name, given)).frozen != "nothing":
             settings += [f"{label}.shared_blocks={options.cached_blocks}" for label in labels]
-        found = answers(ask(given, test.root, labels, settings), test)
+        found = answers(ask(given, test, labels, settings), labels, test)
         system = CONFIGURATIONS[name]
         logged = (system.logged.r_at_1, system.logged.ap) if system.logged else None
         rows.append(Row(name, system.about, tuple(found[label] for label in labels), tuple(seeds), logged))
-    floors = answers(ask(given, test.root, {name: name for name in FLOORS}), test)
+    floors = answers(ask(given, test, {name: name for name in FLOORS}), FLOORS, test)
     return rows + [Row(name, "learns nothing", (floors[name],), ()) for name in FLOORS]
 
 
@@ -438,6 +466,9 @@ def arguments() -> argparse.Namespace:
     )
     parser.add_argument("--backbone-weights", help="file of torchvision's ResNet or of another training; or: imagenet")
     parser.add_argument("--out", nargs="+", default=["leaderboard/retrieval"], help="a folder for each test set's page")
+    parser.add_argument(
+        "--published", nargs="+", type=Path, default=[], help=f"{ARCHIVE} of each test set, in place of asking anybody"
+    )
     parser.add_argument("--device")
     parser.add_argument("--workers", type=int)
     parser.add_argument("--jobs", type=int, default=1, help="trainings at a time, which share the cores")
@@ -453,6 +484,8 @@ def main() -> int:
             raise ConfigError(f"--jobs is {given.jobs}, expected 1 or more")
         if len(given.out) != len(given.test):
             raise ConfigError(f"--out names {len(given.out)} folders for {len(given.test)} test sets; expected as many")
+        for archive in given.published:
+            extract(archive, Path(given.scratch))
         for name in given.config:
             configuration(name)
         tests = {Path(folder): open_cross_view(Path(folder)) for folder in given.test}
@@ -460,16 +493,20 @@ def main() -> int:
             missing = set(DIRECTIONS) - {task.name for task in found.tasks()}
             if missing:
                 raise ConfigError(f"has no {' and no '.join(sorted(missing))}", folder)
-        weights = weights_of(given)
+        weights = {} if given.published else weights_of(given)
         results, differences_of = {}, {}
-        for (folder, found), out in zip(tests.items(), map(Path, given.out), strict=True):
+        for found, out in zip(tests.values(), map(Path, given.out), strict=True):
             rows = rows_of(given, weights, found)
             ahead = differences_to_first(rows)
-            record = ask(given, folder, {name: name for name in FLOORS}).record
-            chance = {d: float(record.tasks[d].chance["R@1"]) for d in DIRECTIONS}
+            asked = results_on(found, Path(given.scratch) / "results")
+            chance = {d: float(asked.record.tasks[d].chance["R@1"]) for d in DIRECTIONS}
             text = page(rows, ahead, given, found, chance, ends_of(given))
             write_text(out / "lpn_configurations.md", text)
             write_text(out / "lpn_configurations.csv", table(rows))
+            if not given.published:
+                scratch = asked.root.parents[1]
+                logs = [f"{name}-seed{seed}/log.csv" for name in given.config for seed in given.seed]
+                pack_folder(scratch, out / ARCHIVE, f"results/{asked.root.name}/**/*", *logs)
             print(text)
             results[found.name] = summary(rows)
             differences_of[found.name] = summary_of_differences(ahead)

@@ -52,7 +52,7 @@ def to_learn_from(places: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 @pytest.fixture
 def given(places: Path, tmp_path: Path) -> argparse.Namespace:
-    return argparse.Namespace(scratch=str(tmp_path / "scratch"), quiet=True, settings=[], backbone_weights=None)
+    return argparse.Namespace(scratch=str(tmp_path / "scratch"), quiet=True, settings=[], published=[])
 
 
 def run(values: list[float], drone: list[float] | None = None) -> page.ByPlace:
@@ -67,10 +67,11 @@ def row(name: str, *runs: page.ByPlace, seeds: tuple[int, ...] | None = None) ->
 def test_answers_are_one_value_for_each_place_and_have_the_means_of_the_scores(
     places: Path, given: argparse.Namespace
 ) -> None:
-    report = page.ask(given, places, {"thumbs": "colour-histogram", "random": "random"})
-    found = page.answers(report, open_cross_view(places))
-    for folder in report.folders:
-        scores = report.scores(folder)
+    test, methods = open_cross_view(places), {"thumbs": "colour-histogram", "random": "random"}
+    results = page.ask(given, test, methods)
+    found = page.answers(results, methods, test)
+    for folder in results.methods():
+        scores = folder.retrieval_scores().tasks
         for direction in page.DIRECTIONS:
             for metric in page.METRICS:
                 values = found[folder.label][direction][metric]
@@ -80,7 +81,7 @@ def test_answers_are_one_value_for_each_place_and_have_the_means_of_the_scores(
     assert {*np.round(recall, 9)} <= {0.0, 0.5, 1.0}  # two drone images a place
     assert 0 < recall.mean() < 1
     ours = page.Row("thumbs", "", (found["thumbs"],), ()).interval_by_places(D)
-    scored = report.scores(report.folders[0])[D]
+    scored = results.method("thumbs").retrieval_scores().tasks[D]
     assert ours is not None
     assert (ours.low, ours.high) == pytest.approx((scored["R@1_low"], scored["R@1_high"]))
 
@@ -88,16 +89,16 @@ def test_answers_are_one_value_for_each_place_and_have_the_means_of_the_scores(
 def test_ranks_that_do_not_follow_from_the_retrieved_images_are_refused(
     places: Path, given: argparse.Namespace
 ) -> None:
-    report = page.ask(given, places, {"thumbs": "colour-histogram"})
-    (folder,) = report.folders
-    path = folder.answers(D)
+    test = open_cross_view(places)
+    results = page.ask(given, test, {"thumbs": "colour-histogram"})
+    path = results.method("thumbs").answers(D)
     lines = path.read_text().splitlines()
     missed = next(i for i, line in enumerate(lines) if ",ok,1," in line and ",ok,1,1," not in line)
     cells = lines[missed].split(",")
     cells[4] = "1"
     path.write_text("\n".join([*lines[:missed], ",".join(cells), *lines[missed + 1 :]]) + "\n")
     with refused(PredictionError, path.name, None, "ranks", 1):
-        page.answers(report, open_cross_view(places))
+        page.answers(results, ["thumbs"], test)
 
 
 def test_an_interval_by_places_is_that_of_the_mean_over_the_seeds() -> None:
@@ -141,7 +142,7 @@ def test_one_seed_tells_nothing_apart() -> None:
 
 
 @pytest.mark.thorough
-def test_the_page_has_intervals_and_differences(
+def test_the_page_has_intervals_and_differences_and_follows_from_the_published_ranks(
     places: Path,
     to_learn_from: Path,
     tmp_path: Path,
@@ -183,6 +184,14 @@ def test_the_page_has_intervals_and_differences(
     assert "with one error rate for all 4 of this table" in text
     for lines in (part for part in text.split("\n\n") if part.startswith("| system")):
         assert len({line.count("|") for line in lines.splitlines()}) == 1
+
+    archive, out = tmp_path / "out" / page.ARCHIVE, tmp_path / "again"
+    again = [*words, "--published", archive, "--scratch", tmp_path / "other", "--out", out]
+    monkeypatch.delattr(page, "evaluate_retrievers")
+    monkeypatch.setattr(sys, "argv", [str(word) for word in again])
+    assert page.main() == 0
+    for name in ("lpn_configurations.md", "lpn_configurations.csv"):
+        assert (out / name).read_bytes() == (tmp_path / "out" / name).read_bytes()
 
 
 def test_the_page_compares_only_where_there_is_something_to_compare(places: Path, to_learn_from: Path) -> None:

@@ -70,6 +70,7 @@ def test_every_published_page_is_told_of() -> None:
             "real/real.md",
             "real/michigan.md",
             "relocalization/relocalization.md",
+            "retrieval/lpn_configurations.md",
         )
     }
     assert handled <= {page.path for page in PAGES}
@@ -96,3 +97,14 @@ def test_the_full_pipeline_is_not_recomputed_without_predictions_or_rendering(tm
     archive.touch()
     (untried,) = recompute.relocalization(tmp_path, tmp_path, False)
     assert untried.outcome.startswith("not recomputed")
+
+
+def test_pages_of_retrieval_are_not_recomputed_without_ranks_or_rendering(tmp_path: Path) -> None:
+    folder = tmp_path / "retrieval" / "real"
+    folder.mkdir(parents=True)
+    (folder / "retrieval.md").touch()
+    (lacking,) = recompute.retrieval(tmp_path, tmp_path, None, True)
+    assert (lacking.page, lacking.outcome[:20]) == ("retrieval/real/retrieval.md", "cannot be recomputed")
+    (folder / "retrievers.tar.xz").touch()
+    (untried,) = recompute.retrieval(tmp_path, tmp_path, None, False)
+    assert untried.outcome.startswith("not recomputed: no --render")
