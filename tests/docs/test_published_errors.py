@@ -76,7 +76,6 @@ def table_of(text: str) -> dict[str, dict[str, str]]:
     ("page", "end"),
     [
         ("docs/results.md", "## Real images"),
-        ("docs/editions.md", "**Validation.**"),
         ("docs/feature-trackers.md", "## What alignment adds"),
     ],
 )
