@@ -1,25 +1,25 @@
 #!/usr/bin/env bash
 # Reproduce the results in leaderboard/retrieval/: datasets and trainings in a scratch folder, tables in the repository.
-#   tools/publish_retrieval.sh SCRATCH SAMPLE [OUT]
+#   tools/publish_retrieval.sh SCRATCH SAMPLE [PUBLISHED OUT]
 # SAMPLE holds sample_drone.jpg and sample_satellite.jpg; where it is empty, pages on real pairs are left out. It takes
-# some hours on two cores; a second run does what is missing. With another folder OUT nothing is trained or evaluated:
-# the pages follow from the published archives, and go there.
+# some hours on two cores; a second run does what is missing. With PUBLISHED, a folder like leaderboard/retrieval, nothing
+# is trained or evaluated: the pages follow from its archives, and go to OUT.
 set -euo pipefail
-mkdir -p "${1:?usage: tools/publish_retrieval.sh SCRATCH SAMPLE [OUT]}" ${3:+"$3"}
+mkdir -p "${1:?usage: tools/publish_retrieval.sh SCRATCH SAMPLE [PUBLISHED OUT]}" ${3:+"$4"}
 scratch=$(realpath "$1")
 sample=${2:+$(realpath "$2")}
-again=${3:+$(realpath "$3")}
+published=${3:+$(realpath "$3")}
+pages=$(realpath "${4:-$(dirname "$0")/../leaderboard/retrieval}")
 cd "$(dirname "$0")/.."
 repository=$PWD
-pages=$PWD/leaderboard/retrieval
 export PATH="$PWD/${VENV:-.venv}/bin:$PATH"
 export PYTHONPATH="$PWD${PYTHONPATH:+:$PYTHONPATH}"
 compare() { # SCRATCH TEST PAGES OPTION...: systems on a test set and, where it is given, on the sample
-  local folder=$1 test=$2 of=$3 published=()
+  local folder=$1 test=$2 of=$3 archives=()
   shift 3
-  [ -z "$again" ] || published=(--published "$pages/$of/predictions.tar.xz" ${sample:+"$pages/$of/real/predictions.tar.xz"})
+  [ -z "$published" ] || archives=(--published "$published/$of/predictions.tar.xz" ${sample:+"$published/$of/real/predictions.tar.xz"})
   python "$repository/benchmarks/publish/lpn_configurations.py" --train train --test "$test" ${sample:+"$sample"} \
-    --scratch "$folder" --out "${again:-$pages}/$of" ${sample:+"${again:-$pages}/$of/real"} "${published[@]}" \
+    --scratch "$folder" --out "$pages/$of" ${sample:+"$pages/$of/real"} "${archives[@]}" \
     --backbone-weights imagenet --set network.backbone=efficientnet-lite0 --set size=128 --jobs 2 --workers 0 "$@"
 }
 
@@ -46,9 +46,9 @@ compare frozen test-400 frozen --config "${configurations[@]}" --set frozen=laye
   --set 'lpn-heatmap*.network.heatmap.heat=mean'
 
 if [ -n "$sample" ]; then
-  if [ -n "$again" ]; then
+  if [ -n "$published" ]; then
     mkdir -p real
-    tar -xJf "$pages/real/retrievers.tar.xz" -C real
+    tar -xJf "$published/real/retrievers.tar.xz" -C real
   else
     asked=(-m random -m colour-histogram -m orb-bow)
     for seed in 0 1 2; do
@@ -57,5 +57,5 @@ if [ -n "$sample" ]; then
     relocbench evaluate-retrieval -d "$sample" --out real --keep 10 -q "${asked[@]}"
     python "$repository/benchmarks/publish/archives.py" real "$pages/real/retrievers.tar.xz"
   fi
-  relocbench leaderboard real --dataset "$sample" --out "${again:-$pages}/real" -q
+  relocbench leaderboard real --dataset "$sample" --out "$pages/real" -q
 fi

@@ -111,7 +111,7 @@ def retrieval(leaderboard: Path, scratch: Path, recordings: Path | None, render:
     run = render and not missing
     if run:
         script = ROOT / "tools" / "publish_retrieval.sh"
-        subprocess.run([script, scratch / "retrieval", sample or "", again], check=True, stdout=sys.stderr)
+        subprocess.run([script, scratch / "retrieval", sample or "", folder, again], check=True, stdout=sys.stderr)
     for page in pages:
         name = f"retrieval/{page}"
         if missing:

@@ -133,8 +133,10 @@ def starts_from_first(name: str) -> bool:
 
 
 def train(name: str, seed: int, given: argparse.Namespace) -> Path:
-    """The weights of a configuration and seed, which are trained if they are missing."""
+    """The weights of a configuration and seed, which are trained if they are missing and nothing is published."""
     out = Path(given.scratch) / f"{name}-seed{seed}"
+    if given.published:
+        return out / "weights.safetensors"
     words = [f"--set={setting}" for setting in (*settings_of(name, given.settings), f"seed={seed}")]
     if given.backbone_weights:
         words.append(f"--backbone-weights={given.backbone_weights}")
@@ -263,11 +265,7 @@ def rows_of(given: argparse.Namespace, weights: dict[tuple[str, int], Path], tes
     rows, seeds = [], given.seed
     for name in given.config:
         labels = {f"{name}-seed{seed}": "lpn" for seed in seeds}
-        settings = [
-            f"{name}-seed{seed}.weights={weights[trained_by(name), seed]}"
-            for seed in seeds
-            if (trained_by(name), seed) in weights
-        ]
+        settings = [f"{name}-seed{seed}.weights={weights[trained_by(name), seed]}" for seed in seeds]
         settings += [f"{label}.config={name}" for label in labels] + [
             f"{label}.device={given.device or 'cpu'}" for label in labels
         ]
@@ -493,7 +491,7 @@ def main() -> int:
             missing = set(DIRECTIONS) - {task.name for task in found.tasks()}
             if missing:
                 raise ConfigError(f"has no {' and no '.join(sorted(missing))}", folder)
-        weights = {} if given.published else weights_of(given)
+        weights = weights_of(given)
         results, differences_of = {}, {}
         for found, out in zip(tests.values(), map(Path, given.out), strict=True):
             rows = rows_of(given, weights, found)
