@@ -48,7 +48,9 @@ Percentage points by which the first method is ahead of the second, with the 95 
 and its p value over all {count} differences of this page: the probability of one as clear anywhere among them if no two
 methods differed, counted over all signs of the districts' differences ([how](../../docs/statistics.md)). **A star means
 that the methods differ, with one error rate of 5 % for the whole page.** An interval without zero that has no star may
-be chance: among so many, some are.
+be chance: among so many, some are. Without an interval, the pairs on which two methods differ are worth fewer than ten
+independent ones. Where they differ on very few, the end away from zero is wide: the failures that were seen do not tell
+how long such stretches may be.
 """
 
 
