@@ -10,9 +10,8 @@ from typing import Annotated
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
 from relocbench.evaluation.tables.schema import ALL, COUNT, TEXT, PairRecord, Schema
-from relocbench.metrics.pose.matching import OFFSET_EDGES_PX
 
-OFFSETS_PX = tuple(int(edge) for edge in OFFSET_EDGES_PX[1:])
+OFFSETS_PX = (1, 2, 4, 8, 16)
 """distances between the start and the true pixel"""
 
 Summary = dict[str, dict[str, float | int | None]]
