@@ -72,7 +72,7 @@ class PairErrors(PairRecord):
     """correlation of patches of the two images, -1 to 1"""
 
 
-ERRORS = Schema(PairErrors, added_later=8)
+ERRORS = Schema(PairErrors)
 NUMBERS = ERRORS.columns[4:]
 _ERRORS, _OPTIONAL = NUMBERS[:3], NUMBERS[3:]
 _MAY_BE_INFINITE = [*range(len(_ERRORS)), NUMBERS.index("vcre")]

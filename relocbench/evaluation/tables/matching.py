@@ -48,19 +48,6 @@ class MatchingRow(PairRecord):
 MATCHING = Schema(MatchingRow)
 
 
-def read_matching(path: Path) -> list[MatchingRow]:
-    """Read ``PAIRSET.matching.csv``; one of earlier versions, which started each pixel at every offset, is refused.
-
-    Raises PredictionError with file and line.
-    """
-    try:
-        return MATCHING.read(path)
-    except PredictionError as bad:
-        if bad.line != 1:
-            raise
-        raise PredictionError(f"{bad.expected}; remove the file and measure again (--matching)", path, 1) from None
-
-
 def check_complete(rows: Sequence[MatchingRow], keys: Sequence[PairKey], path: Path) -> None:
     """Raise PredictionError unless there is one row for each pair of the set and each offset."""
     present = sorted((row.key, row.offset_px) for row in rows)

@@ -25,6 +25,7 @@ from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
 from relocbench.files import (
     atomic_write,
+    header_fault,
     parse_count,
     parse_floats,
     parse_timestamp,
@@ -248,17 +249,17 @@ R = TypeVar("R", bound=Record)
 class Schema(Generic[R]):
     """The columns of a table, and its reading and writing, as a record states them."""
 
-    def __init__(self, record: type[R], *, added_later: int = 0) -> None:
+    def __init__(self, record: type[R], *, last_optional: bool = False) -> None:
         """State a table.
 
         Args:
-            added_later: how many of the last columns a table of an earlier version may lack, which are blank there.
+            last_optional: whether a table that was made elsewhere may lack the last column, which is blank there.
         """
         hints = get_type_hints(record, include_extras=True)
         self._make: Callable[..., R] = record
         self._kinds: dict[str, Kind[Any]] = {f.name: hints[f.name].__metadata__[0] for f in fields(record)}
         self.columns: tuple[str, ...] = tuple(self._kinds)
-        self.added_later = self.columns[len(self.columns) - added_later :]
+        self._last_optional = last_optional
 
     def of(self, values: Iterable[object]) -> R:
         """The record with these values, in the order of the columns."""
@@ -295,20 +296,19 @@ class Schema(Generic[R]):
         return out
 
     def chunks(self, path: Path) -> Iterator[tuple[list[int], list[list[str]]]]:
-        """The rows in chunks: the line numbers that they begin on, and their fields, blank where the table lacks them.
+        """The rows in chunks: the line numbers that they begin on, and their fields, blank where one is optional.
 
         Raises:
             PredictionError: as :func:`read_rows`.
         """
         head = next(read_csv(path, f"a table ({','.join(self.columns)})", PredictionError), (1, []))[1]
-        lacking = [""] * self._lacking(head)
+        lacking = self._lacking(head)
         for lines, rows in read_chunks(path, self.columns[: len(self.columns) - len(lacking)]):
             yield lines, [[*row, *lacking] for row in rows] if lacking else rows
 
-    def _lacking(self, head: Sequence[str]) -> int:
-        """How many of the last columns a table with this header lacks; 0 where it has another header altogether."""
-        lacking = len(self.columns) - len(head)
-        return lacking if 0 < lacking <= len(self.added_later) and list(self.columns[: len(head)]) == list(head) else 0
+    def _lacking(self, head: Sequence[str]) -> list[str]:
+        """A blank for the last column where a table with this header lacks it, and may."""
+        return [""] if self._last_optional and tuple(head) == self.columns[:-1] else []
 
     def row(self, path: Path, line: int, texts: Sequence[str]) -> R:
         """One row. Raises PredictionError with file and line."""
@@ -334,13 +334,13 @@ class Schema(Generic[R]):
 
     def readable(self, path: Path, findings: Findings) -> Iterator[tuple[TableRow, R | None]]:
         """Each row with its record, None where it has a fault; all that is wrong with the table becomes a fault."""
-        head, first = ",".join(self.columns), dict[str, int]()
+        first = dict[str, int]()
         with findings.catching():
-            rows = read_csv(path, f"a table ({head})", PredictionError)
+            rows = read_csv(path, f"a table ({','.join(self.columns)})", PredictionError)
             header = next(rows, (1, []))[1]
-            lacking = [""] * self._lacking(header)
-            if [*header, *self.columns[len(self.columns) - len(lacking) :]] != list(self.columns):
-                raise PredictionError(f"expected the header {head}", path, 1)
+            lacking = self._lacking(header)
+            if not lacking and tuple(header) != self.columns:
+                raise PredictionError(header_fault(self.columns, header), path, 1)
             for line, row_texts in rows:
                 texts = [*row_texts, *lacking]
                 if len(texts) != len(self.columns):

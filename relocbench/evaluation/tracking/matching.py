@@ -43,7 +43,7 @@ from relocbench.evaluation.isolation.worker import (
     tracker_of,
     traversal_of,
 )
-from relocbench.evaluation.tables.matching import MATCHING, OFFSETS_PX, MatchingRow, check_complete, read_matching
+from relocbench.evaluation.tables.matching import MATCHING, OFFSETS_PX, MatchingRow, check_complete
 from relocbench.evaluation.tracking.run import new_record
 from relocbench.execution import step
 from relocbench.files import locked_folder
@@ -167,7 +167,7 @@ def _open_pairs(folder: MethodResults, pair_set: PairSet) -> list[PairKey]:
     """The pairs of a set that are still to be measured."""
     path = folder.matching(pair_set.name)
     if path.exists():
-        check_complete(read_matching(path), [p.key for p in pair_set.pairs], path)
+        check_complete(MATCHING.read(path), [p.key for p in pair_set.pairs], path)
         return []
     done = answered_keys(folder.matching_journal(pair_set.name))
     return [p.key for p in pair_set.pairs if p.key not in done]

@@ -19,13 +19,7 @@ from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import MethodResults, ScoreRecord, check_made_for, write_record
 from relocbench.evaluation.tables.answers import Answer, read_answers
 from relocbench.evaluation.tables.errors import ErrorTable, PairErrors, groups_in, write_errors
-from relocbench.evaluation.tables.matching import (
-    MatchingRow,
-    Summary,
-    check_complete,
-    read_matching,
-    summarize_matching,
-)
+from relocbench.evaluation.tables.matching import MATCHING, MatchingRow, Summary, check_complete, summarize_matching
 from relocbench.evaluation.tables.schema import ALL
 from relocbench.files import plain_file, remove_parts
 from relocbench.geometry import Camera
@@ -170,7 +164,7 @@ def _reprojection_errors(pair_set: PairSet, T_pred: Array, T_gt: Array, answered
 def matching_scores(pair_set: PairSet, folder: MethodResults) -> dict[str, Summary]:
     """The matching quality of each group of a pair set. Raises PredictionError."""
     path = folder.matching(pair_set.name)
-    rows = read_matching(path)
+    rows = MATCHING.read(path)
     check_complete(rows, [p.key for p in pair_set.pairs], path)
     return {group: summarize_matching(rows, group) for group in groups_of(rows)}
 

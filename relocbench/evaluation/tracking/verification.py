@@ -17,8 +17,8 @@ from relocbench.datasets.core.pair_table import MEASURES
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import MethodResults, RunRecord, ScoreRecord
-from relocbench.evaluation.tables.errors import ERRORS, NUMBERS, ErrorTable
-from relocbench.evaluation.tables.matching import MatchingRow, check_complete, read_matching, summarize_matching
+from relocbench.evaluation.tables.errors import NUMBERS, ErrorTable
+from relocbench.evaluation.tables.matching import MATCHING, MatchingRow, check_complete, summarize_matching
 from relocbench.evaluation.tracking.score import (
     FORMULAS,
     errors_hash,
@@ -46,9 +46,6 @@ def faults_of_record(
         again: what scores the predictions again, in words.
     """
     path = folder.scores_yaml
-    if not scores.formulas:
-        yield PredictionError(f"does not record what it was computed from (made by an earlier version); {again}", path)
-        return
     if scores.formulas != FORMULAS:
         message = f"was computed by version {scores.formulas} of the formulas, this is version {FORMULAS}"
         yield PredictionError(f"{message}; {again}", path)
@@ -90,7 +87,7 @@ def matching_of_pair_set(
     path = folder.matching(name)
     if not path.exists():
         raise PredictionError(f"missing, but {folder.scores_yaml.name} summarises it; {again}", path)
-    rows = read_matching(path)
+    rows = MATCHING.read(path)
     check_complete(rows, keys, path)
     if scores.matching_tables.get(name) != matching_hash(folder, name):
         raise PredictionError(f"changed since it was scored; {again}", path)
@@ -169,9 +166,7 @@ def _first_difference(
         return f"the table has {len(claimed)} pairs, of which some are not among the {len(computed)} of the dataset"
     relative, absolute = tolerance
     differs = ~np.isclose(claimed.numbers, computed.numbers, rtol=relative, atol=absolute, equal_nan=True)
-    # A table of an earlier version says nothing about what was added later: what was computed here is shown.
-    lacking = [name for name in ERRORS.added_later if np.isnan(claimed.column(name)).all()]
-    differs[[NUMBERS.index(name) for name in (*lacking, *but)]] = False
+    differs[[NUMBERS.index(name) for name in but]] = False
     words = [(c, f) for c, f in zip(claimed.groups, computed.groups, strict=True)]
     status = claimed.status_index != computed.status_index
     group = np.array([c != f for c, f in words], dtype=bool)

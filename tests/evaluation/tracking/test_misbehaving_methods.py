@@ -30,7 +30,7 @@ from relocbench.evaluation.retrieval.ranking import rank_task
 from relocbench.evaluation.retrieval.run import RetrieverSession
 from relocbench.evaluation.tables.answers import Answer, read_answers
 from relocbench.evaluation.tables.errors import read_errors
-from relocbench.evaluation.tables.matching import MATCHING, read_matching
+from relocbench.evaluation.tables.matching import MATCHING
 from relocbench.evaluation.tracking.check import check
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
 from relocbench.leaderboard.tracking.load import load_results
@@ -328,7 +328,7 @@ def test_descriptors_that_overflow_retrieve_nothing_or_something_but_end_nothing
 READERS: dict[str, tuple[Callable[[Path], object], str, int]] = {
     "answers": (read_answers, "ref_timestamp_ns,query_timestamp_ns,status,seconds,confidence,message,info", 7),
     "retrieved": (RETRIEVED.read, "query,group,status,positives,ranks,seconds,message", 7),
-    "matching": (read_matching, ",".join(MATCHING.columns), len(MATCHING.columns)),
+    "matching": (MATCHING.read, ",".join(MATCHING.columns), len(MATCHING.columns)),
     "basin": (read_basins, "method,what,conditions,radius", 4),
 }
 
