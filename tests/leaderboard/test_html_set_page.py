@@ -19,8 +19,7 @@ from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.results import dataset_results, write_dataset_record
 from relocbench.evaluation.probe.records import RADII, SHARES, STARTS
 from relocbench.evaluation.tables.matching import OFFSETS_PX, MatchingRow
-from relocbench.evaluation.tables.schema import write_rows
-from relocbench.files import dump_yaml, write_text
+from relocbench.files import dump_yaml, write_table, write_text
 from relocbench.geometry import make_transform, so3_exp
 from relocbench.leaderboard import load_results, make_board
 from relocbench.leaderboard.boards import Boards
@@ -71,10 +70,10 @@ def _write_probe(folder: Path, fingerprint: str) -> None:
             head = (label, what, "", "across conditions", "near", unit)
             shares += [[*head, offset, 3, 10, share, 0] for offset, share in ((0, 0.9), (4, 0.4))]
             radii.append([*head, 3, 3.0, 0, "", "", "", "", "", 0.9, 3.5, 0, 3.0, 4.25, "", "", ""])
-    write_rows(folder / "probe.csv", [SHARES.columns, *shares])
-    write_rows(folder / "radii.csv", [RADII.columns, *radii])
+    write_table(folder / "probe.csv", SHARES.columns, shares)
+    write_table(folder / "radii.csv", RADII.columns, radii)
     start = ["wrong", "across conditions", "near", 3, 0.75, 0.25, 0.5, 0.25, 0.125, 0.375]
-    write_rows(folder / "starts.csv", [STARTS.columns, start])
+    write_table(folder / "starts.csv", STARTS.columns, [start])
     write_text(folder / "probe.yaml", dump_yaml({"dataset": "small", "fingerprint": fingerprint}))
 
 

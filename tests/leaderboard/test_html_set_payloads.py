@@ -21,8 +21,7 @@ from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import PairSetRecord, dataset_results, write_dataset_record
 from relocbench.evaluation.probe.records import RADII, SHARES, read_probe
 from relocbench.evaluation.tables.matching import OFFSETS_PX, MatchingRow
-from relocbench.evaluation.tables.schema import write_rows
-from relocbench.files import dump_yaml, write_text
+from relocbench.files import dump_yaml, write_table, write_text
 from relocbench.geometry import invert, make_transform, so3_exp
 from relocbench.leaderboard.html.looks import further_looks, looks
 from relocbench.leaderboard.html.set_page.maps import Maps, plan_of
@@ -211,9 +210,9 @@ def _write_probe(folder: Path, share: str = "0.500000") -> None:
     write_text(folder / "probe.yaml", dump_yaml({"dataset": "small", "fingerprint": "ab", "options": {}}))
     head = ("m", "pixels", "", "across conditions", "match@1px", "px")
     points = [[*head, offset, 3, 10, share, "0.000000"] for offset in (0, 4)]
-    write_rows(folder / "probe.csv", [SHARES.columns, *points])
+    write_table(folder / "probe.csv", SHARES.columns, points)
     half = [*head, 3, 0.0, 0, "", "", "nan", "", "", share, 3.5, 0, 3.0, 4.25, "", "", ""]
-    write_rows(folder / "radii.csv", [RADII.columns, half])
+    write_table(folder / "radii.csv", RADII.columns, [half])
 
 
 def test_a_probe_is_read_with_the_width_of_its_basin_and_checked(tmp_path: Path) -> None:

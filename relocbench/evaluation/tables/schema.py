@@ -12,8 +12,6 @@ What the cells of a column are, stands in the annotation of its field::
 
 from __future__ import annotations
 
-import csv
-import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -24,7 +22,6 @@ from relocbench.datasets.checks.faults import Findings
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
 from relocbench.files import (
-    atomic_write,
     header_fault,
     parse_count,
     parse_floats,
@@ -32,8 +29,8 @@ from relocbench.files import (
     quick_counts,
     quick_floats,
     read_csv,
-    read_table,
     read_table_chunks,
+    write_table,
 )
 
 ALL = "all"
@@ -99,31 +96,6 @@ class TableRow:
 def is_duration(seconds: float) -> bool:
     """Whether a method can have taken so many seconds: from 0 to a year."""
     return 0 <= seconds <= _YEAR_S
-
-
-def read_rows(path: Path, columns: Sequence[str]) -> Iterator[TableRow]:
-    """Yield the rows of a table.
-
-    Raises:
-        PredictionError: with file and line: a wrong header, a row of another length, a field that cannot be read.
-    """
-    for line, row in read_table(path, columns, error=PredictionError):
-        yield TableRow(path, line, dict(zip(columns, row, strict=True)))
-
-
-def read_chunks(path: Path, columns: Sequence[str]) -> Iterator[tuple[list[int], list[list[str]]]]:
-    """The rows of a long table in chunks: the line numbers that rows begin on, and their fields.
-
-    Raises:
-        PredictionError: as :func:`read_rows`.
-    """
-    return read_table_chunks(path, columns, error=PredictionError)
-
-
-def write_rows(path: Path, rows: Iterable[Iterable[Any]]) -> None:
-    """Write a CSV table, whose header is the first of ``rows``, whole or not at all."""
-    with atomic_write(path) as stream:
-        csv.writer(stream, lineterminator="\n").writerows(rows)
 
 
 def float_text(value: float | None) -> str:
@@ -268,7 +240,7 @@ class Schema(Generic[R]):
     def write(self, path: Path, rows: Iterable[R]) -> None:
         """Write the table whole or not at all, in the order given."""
         texts = ([kind.text(getattr(row, name)) for name, kind in self._kinds.items()] for row in rows)
-        write_rows(path, itertools.chain([self.columns], texts))
+        write_table(path, self.columns, texts)
 
     def read(self, path: Path, keep: Callable[[Sequence[str]], bool] | None = None) -> list[R]:
         """Read the table.
@@ -299,11 +271,12 @@ class Schema(Generic[R]):
         """The rows in chunks: the line numbers that they begin on, and their fields, blank where one is optional.
 
         Raises:
-            PredictionError: as :func:`read_rows`.
+            PredictionError: with file and line: a wrong header, a row of another length.
         """
         head = next(read_csv(path, f"a table ({','.join(self.columns)})", PredictionError), (1, []))[1]
         lacking = self._lacking(head)
-        for lines, rows in read_chunks(path, self.columns[: len(self.columns) - len(lacking)]):
+        columns = self.columns[: len(self.columns) - len(lacking)]
+        for lines, rows in read_table_chunks(path, columns, error=PredictionError):
             yield lines, [[*row, *lacking] for row in rows] if lacking else rows
 
     def _lacking(self, head: Sequence[str]) -> list[str]:

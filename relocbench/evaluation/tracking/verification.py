@@ -21,15 +21,13 @@ from relocbench.evaluation.tables.errors import NUMBERS, ErrorTable
 from relocbench.evaluation.tables.matching import MATCHING, MatchingRow, check_complete, summarize_matching
 from relocbench.evaluation.tracking.score import (
     FORMULAS,
-    errors_hash,
     groups_of,
-    matching_hash,
     predictions_hash,
-    run_hash,
     score_pair_set,
     summarize_rows,
     truth_hash,
 )
+from relocbench.files import sha256_file
 
 _SAME = (1e-9, 1e-6)
 """Relative and absolute difference that the last digits of another processor explain."""
@@ -53,7 +51,7 @@ def faults_of_record(
     if scores.fingerprint != run.fingerprint:
         theirs, ours = scores.fingerprint[:SHORT], run.fingerprint[:SHORT]
         yield PredictionError(f"was computed on the dataset {theirs}, the predictions are for {ours}; {again}", path)
-    if scores.run != run_hash(folder):
+    if scores.run != sha256_file(folder.run_yaml):
         yield PredictionError(
             "changed since the predictions were scored; put the original back, or run the method again with "
             "--overwrite always",
@@ -70,7 +68,7 @@ def faults_of_pair_set(folder: MethodResults, name: str, scores: ScoreRecord, ag
         yield PredictionError(f"changed since it was scored; {again}", folder.predictions(name))
     if not folder.errors(name).exists():
         yield PredictionError(f"missing, but {folder.scores_yaml.name} summarises it; {again}", folder.errors(name))
-    elif scores.errors.get(name) != errors_hash(folder, name):
+    elif scores.errors.get(name) != sha256_file(folder.errors(name)):
         yield PredictionError(f"changed since the predictions were scored; {again}", folder.errors(name))
 
 
@@ -89,7 +87,7 @@ def matching_of_pair_set(
         raise PredictionError(f"missing, but {folder.scores_yaml.name} summarises it; {again}", path)
     rows = MATCHING.read(path)
     check_complete(rows, keys, path)
-    if scores.matching_tables.get(name) != matching_hash(folder, name):
+    if scores.matching_tables.get(name) != sha256_file(path):
         raise PredictionError(f"changed since it was scored; {again}", path)
     recorded = scores.matching.get(name, {})
     if any(recorded.get(group) != summarize_matching(rows, group) for group in groups_of(rows)):
