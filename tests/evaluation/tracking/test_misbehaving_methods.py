@@ -23,6 +23,7 @@ from relocbench.evaluation.isolation.answers import ask, checked_answer, checked
 from relocbench.evaluation.isolation.guard import batch_of, guarded, neighbours_of
 from relocbench.evaluation.isolation.handles import LocalTracker
 from relocbench.evaluation.isolation.info_text import INFO_CHARACTERS
+from relocbench.evaluation.probe.records import RADII
 from relocbench.evaluation.relocalization.basin import read_basins
 from relocbench.evaluation.retrieval.answers import ANSWERS as RETRIEVED
 from relocbench.evaluation.retrieval.describe import Describer
@@ -329,7 +330,7 @@ READERS: dict[str, tuple[Callable[[Path], object], str, int]] = {
     "answers": (read_answers, "ref_timestamp_ns,query_timestamp_ns,status,seconds,confidence,message,info", 7),
     "retrieved": (RETRIEVED.read, "query,group,status,positives,ranks,seconds,message", 7),
     "matching": (MATCHING.read, ",".join(MATCHING.columns), len(MATCHING.columns)),
-    "basin": (read_basins, "method,what,conditions,radius", 4),
+    "basin": (read_basins, ",".join(RADII.columns), len(RADII.columns)),
 }
 
 
