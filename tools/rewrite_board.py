@@ -23,8 +23,8 @@ from pathlib import Path, PurePath
 from relocbench.evaluation.common.results import DatasetRecord, RunRecord
 from relocbench.evaluation.tables.errors import NUMBERS, ErrorTable, PairErrors
 from relocbench.evaluation.tables.matching import MatchingRow
-from relocbench.evaluation.tables.schema import ALL, write_rows
-from relocbench.files import parse_yaml
+from relocbench.evaluation.tables.schema import ALL
+from relocbench.files import parse_yaml, write_table
 from relocbench.leaderboard.common.text import cell
 from relocbench.leaderboard.tracking.doubt import TruthCheck
 from relocbench.leaderboard.tracking.long_form import leaderboard_rows
@@ -46,7 +46,7 @@ def main() -> None:
     board = make_board(_entries(folder, published), metric=published[0]["ranked_by"])
     header, *rows = _compare(board, published)
     if list(published[0]) != header:
-        write_rows(folder / "leaderboard.csv", [header, *rows])
+        write_table(folder / "leaderboard.csv", header, rows)
     write_pages(board, folder)
 
 

@@ -41,14 +41,8 @@ from relocbench.evaluation.common.results import (
 )
 from relocbench.evaluation.tables.answers import ANSWERS, Answer
 from relocbench.evaluation.tables.errors import PairErrors, write_errors
-from relocbench.evaluation.tracking.score import (
-    FORMULAS,
-    errors_hash,
-    groups_of,
-    predictions_hash,
-    run_hash,
-    summarize_rows,
-)
+from relocbench.evaluation.tracking.score import FORMULAS, groups_of, predictions_hash, summarize_rows
+from relocbench.files import sha256_file
 from relocbench.geometry import Camera, make_transform, so3_exp
 
 START_NS, STEP_NS = 1_600_000_000_000_000_000, 100_000_000
@@ -112,13 +106,13 @@ def _write_method(
         write_pose_lines(folder.predictions(name), [PoseLine(*row.key, pose) for row in rows if row.status == "ok"])
         ANSWERS.write(folder.answers(name), [Answer(*row.key, row.status, row.seconds) for row in rows])
         write_errors(folder.errors(name), rows)
-        hashes[name], errors[name] = predictions_hash(folder, name), errors_hash(folder, name)
+        hashes[name], errors[name] = predictions_hash(folder, name), sha256_file(folder.errors(name))
         scores[name] = {group: summarize_rows(rows, group).to_dict() for group in groups_of(rows)}
     record = ScoreRecord(
         relocbench="0",
         formulas=FORMULAS,
         fingerprint=run.fingerprint,
-        run=run_hash(folder),
+        run=sha256_file(folder.run_yaml),
         predictions=hashes,
         errors=errors,
         pair_sets=scores,

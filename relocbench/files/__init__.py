@@ -27,7 +27,15 @@ from relocbench.files.numbers import (
     whole_number,
 )
 from relocbench.files.plain import plain_file, read_bytes
-from relocbench.files.tables import CHUNK_ROWS, read_csv, read_table, read_table_chunks, values_by_time, write_table
+from relocbench.files.tables import (
+    CHUNK_ROWS,
+    header_fault,
+    read_csv,
+    read_table,
+    read_table_chunks,
+    values_by_time,
+    write_table,
+)
 from relocbench.files.text import fields_of, lines_of, read_rows, read_text
 from relocbench.files.writing import (
     atomic_write,
@@ -64,6 +72,7 @@ __all__ = [
     "fields_of",
     "first_fault",
     "fitting_name",
+    "header_fault",
     "json_text",
     "lines_of",
     "link_file",

@@ -52,12 +52,11 @@ def read_table_chunks(
     Raises:
         RelocbenchError: (as ``error``) with file and line, after the rows above it.
     """
-    header = ",".join(columns)
     headed = False
-    for lines, rows in _chunks(path, what or f"a table ({header})", error):
+    for lines, rows in _chunks(path, what or f"a table ({','.join(columns)})", error):
         if not headed:
             if rows[0] != list(columns):
-                break
+                raise error(header_fault(columns, rows[0]), path, 1)
             headed, lines, rows = True, lines[1:], rows[1:]
         odd = next((place for place, row in enumerate(rows) if len(row) != len(columns)), len(rows))
         if odd:
@@ -65,7 +64,13 @@ def read_table_chunks(
         if odd < len(rows):
             raise error(f"expected {len(columns)} columns, found {len(rows[odd])}", path, lines[odd])
     if not headed:
-        raise error(f"expected the header {header}", path, 1)
+        raise error(header_fault(columns, ()), path, 1)
+
+
+def header_fault(columns: Sequence[str], found: Sequence[str]) -> str:
+    """What is wrong with a header that is not ``columns``; what it lacks is named, since long texts are cut."""
+    lacking = [name for name in columns if name not in found] if set(columns) & set(found) else []
+    return f"expected the header {','.join(columns)}" + (f"; it lacks {', '.join(lacking)}" if lacking else "")
 
 
 def values_by_time(

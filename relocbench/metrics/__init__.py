@@ -15,7 +15,6 @@ from relocbench.metrics.pose.failure_policy import (
     mean_over_pair_sets,
     pose_array,
 )
-from relocbench.metrics.pose.matching import matching_quality
 from relocbench.metrics.pose.metric import Metric
 from relocbench.metrics.pose.radius import Radius, Ratio, radius_of, radius_ratio, success_radius
 from relocbench.metrics.pose.registry import METRICS, metric_named, shown_in
@@ -113,7 +112,6 @@ __all__ = [
     "generator",
     "in_points",
     "infinite_where_failed",
-    "matching_quality",
     "mean_interval",
     "mean_over_pair_sets",
     "median_interval",

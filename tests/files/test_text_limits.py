@@ -33,7 +33,7 @@ from relocbench.evaluation.retrieval.answers import ANSWERS as RETRIEVED
 from relocbench.evaluation.tables.answers import ANSWERS
 from relocbench.evaluation.tables.answers import read_answers as read_pair_answers
 from relocbench.evaluation.tables.errors import read_errors
-from relocbench.evaluation.tables.matching import read_matching
+from relocbench.evaluation.tables.matching import MATCHING
 from relocbench.files import (
     parse_count,
     parse_floats,
@@ -54,7 +54,7 @@ LONG = "x" * (csv.field_size_limit() + 1)
 READERS: dict[str, Callable[[Path], Any]] = {
     "answers of a tracker": read_pair_answers,
     "errors": read_errors,
-    "matching": read_matching,
+    "matching": MATCHING.read,
     "a chain": PIPELINE.read,
     "answers of a retriever": RETRIEVED.read,
     "radii": read_basins,

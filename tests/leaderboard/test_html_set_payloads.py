@@ -21,8 +21,7 @@ from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import PairSetRecord, dataset_results, write_dataset_record
 from relocbench.evaluation.probe.records import RADII, SHARES, read_probe
 from relocbench.evaluation.tables.matching import OFFSETS_PX, MatchingRow
-from relocbench.evaluation.tables.schema import write_rows
-from relocbench.files import dump_yaml, write_text
+from relocbench.files import dump_yaml, write_table, write_text
 from relocbench.geometry import invert, make_transform, so3_exp
 from relocbench.leaderboard.html.looks import further_looks, looks
 from relocbench.leaderboard.html.set_page.maps import Maps, plan_of
@@ -151,7 +150,7 @@ def test_the_steps_of_a_sweep_have_the_values_of_their_factor() -> None:
     factors = {f"light-{i}": f for i, f in enumerate(sweep("light", 5))}
     found = sweep_of(*_swept("light", factors))
     assert found is not None
-    assert (found["name"], found["axis"], found["reference"], found["known"]) == ("light", "sun elevation, °", 60, True)
+    assert (found["name"], found["axis"], found["reference"]) == ("light", "sun elevation, °", 60)
     assert list(found["values"].values()) == [60, 47, 34, 21, 8]
 
 
@@ -169,17 +168,8 @@ def test_own_conditions_that_differ_in_one_factor_are_a_sweep_and_others_are_non
     assert (found["name"], found["axis"]) == ("fog_density", "fog density")
     named = {name: CONDITIONS[name].factors for name in ("Sunny", "Overcast", "Snow")}
     assert sweep_of(*_swept(None, named)) is None
+    assert sweep_of(_swept(None, factors)[0], None) is None
     assert sweep_of(*_swept("fog", dict(list(factors.items())[:2]))) is None  # two points are no curve
-
-
-def test_without_the_dataset_steps_are_known_by_their_names() -> None:
-    pair_sets = {f"s{i}": _record("a", f"b{i}", "wetness 0", f"wetness {i}") for i in range(4)}
-    found = sweep_of(pair_sets, None)
-    assert found is not None
-    assert found["values"] == {f"s{i}": i for i in range(4)}
-    assert (found["axis"], found["known"]) == ("step of wetness", False)
-    assert sweep_of({**pair_sets, "other": _record("a", "n", "wetness 0", "night")}, None) is None
-    assert sweep_of({f"s{i}": _record("a", f"b{i}", "drive 0", f"drive {i}") for i in range(4)}, None) is None
 
 
 def test_factors_have_words_and_units() -> None:
@@ -211,9 +201,9 @@ def _write_probe(folder: Path, share: str = "0.500000") -> None:
     write_text(folder / "probe.yaml", dump_yaml({"dataset": "small", "fingerprint": "ab", "options": {}}))
     head = ("m", "pixels", "", "across conditions", "match@1px", "px")
     points = [[*head, offset, 3, 10, share, "0.000000"] for offset in (0, 4)]
-    write_rows(folder / "probe.csv", [SHARES.columns, *points])
+    write_table(folder / "probe.csv", SHARES.columns, points)
     half = [*head, 3, 0.0, 0, "", "", "nan", "", "", share, 3.5, 0, 3.0, 4.25, "", "", ""]
-    write_rows(folder / "radii.csv", [RADII.columns, half])
+    write_table(folder / "radii.csv", RADII.columns, [half])
 
 
 def test_a_probe_is_read_with_the_width_of_its_basin_and_checked(tmp_path: Path) -> None:

@@ -8,15 +8,8 @@ from typing import Any
 
 from relocbench.evaluation.common.results import MethodResults
 from relocbench.evaluation.tables.errors import ErrorTable, PairErrors, read_errors, write_errors
-from relocbench.evaluation.tracking.score import (
-    errors_hash,
-    groups_of,
-    matching_hash,
-    predictions_hash,
-    run_hash,
-    summarize_rows,
-)
-from relocbench.files import dump_yaml, load_yaml_values, write_text
+from relocbench.evaluation.tracking.score import groups_of, predictions_hash, summarize_rows
+from relocbench.files import dump_yaml, load_yaml_values, sha256_file, write_text
 
 
 def change_yaml(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
@@ -30,12 +23,12 @@ def reseal(folder: MethodResults) -> None:
     """Compute the digests in ``scores.yaml`` again from the files as they are."""
 
     def digests(scores: dict[str, Any]) -> None:
-        scores["run"] = run_hash(folder)
+        scores["run"] = sha256_file(folder.run_yaml)
         for name in scores["predictions"]:
             scores["predictions"][name] = predictions_hash(folder, name)
-            scores["errors"][name] = errors_hash(folder, name)
+            scores["errors"][name] = sha256_file(folder.errors(name))
         for name in scores["matching_tables"]:
-            scores["matching_tables"][name] = matching_hash(folder, name)
+            scores["matching_tables"][name] = sha256_file(folder.matching(name))
 
     change_yaml(folder.scores_yaml, digests)
 

@@ -16,15 +16,8 @@ from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.evaluation.common.results import DatasetRecord, MethodResults, PairSetRecord, RunRecord, ScoreRecord
 from relocbench.evaluation.tables.answers import ANSWERS, Answer
 from relocbench.evaluation.tables.errors import PairErrors, write_errors
-from relocbench.evaluation.tracking.score import (
-    FORMULAS,
-    errors_hash,
-    groups_of,
-    predictions_hash,
-    run_hash,
-    summarize_rows,
-)
-from relocbench.files import dump_yaml, write_text
+from relocbench.evaluation.tracking.score import FORMULAS, groups_of, predictions_hash, summarize_rows
+from relocbench.files import dump_yaml, sha256_file, write_text
 from relocbench.leaderboard import Board, Row, Table, load_results, make_board
 
 FINGERPRINT = hashlib.sha256(b"a dataset").hexdigest()
@@ -95,13 +88,13 @@ class MadeResults:
             write_pose_lines(folder.predictions(name), lines)
             ANSWERS.write(folder.answers(name), [Answer(*r.key, r.status, r.seconds) for r in rows])
             write_errors(folder.errors(name), rows)
-            hashes[name], errors[name] = predictions_hash(folder, name), errors_hash(folder, name)
+            hashes[name], errors[name] = predictions_hash(folder, name), sha256_file(folder.errors(name))
             scores[name] = {g: summarize_rows(rows, g).to_dict() for g in groups_of(rows)}
         score = ScoreRecord(
             relocbench="0.1.0",
             formulas=FORMULAS,
             fingerprint=self.fingerprint,
-            run=run_hash(folder),
+            run=sha256_file(folder.run_yaml),
             predictions=hashes,
             errors=errors,
             pair_sets=scores,

@@ -15,6 +15,7 @@ _CHAIN = ("evaluate-relocalization", "-r", "oracle", "-m", "good=pipelines_for_t
 
 def write_records(root: Path) -> None:
     """A dataset, results of a retriever and of a chain on it, lists as hloc has them, and radii of a probe."""
+    from made_radii import write_radii
     from small_dataset import make_small_dataset
 
     dataset = make_small_dataset(root / "ds", frames=3, size=(24, 18))
@@ -24,8 +25,8 @@ def write_records(root: Path) -> None:
     times = {name: dataset.traversal(name).timestamps("cam0") for name in ("summer", "winter")}
     names = {name: [f"traversals/{name}/images/cam0/{t}.png" for t in found] for name, found in times.items()}
     write(root / "lists" / f"{ACROSS}.txt", *(f"{q} {g}" for q in names["winter"] for g in names["summer"]))
-    rows = (f"good,{what},,across conditions,c,3,1.5" for what in ("translation", "rotation"))
-    write(root / "probe" / "radii.csv", "method,what,level,conditions,criterion,pairs,radius", *rows)
+    rows = (("good", what, "across conditions", 1.5) for what in ("translation", "rotation"))
+    write_radii(root / "probe" / "radii.csv", *rows)
     write(
         root / "tables" / "page.md",
         "# Results",

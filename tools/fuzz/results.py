@@ -42,6 +42,7 @@ def write_stopped(root: Path) -> None:
             "confidence": None,
             "message": "",
             "info": "{}",
+            "memory": None,
         }
         for pair in dataset.pair_set(ACROSS).pairs
     ]
@@ -89,9 +90,9 @@ def _answers(place: Place) -> None:
 
 
 def _matching(place: Place) -> None:
-    from relocbench.evaluation.tables.matching import read_matching, summarize_matching
+    from relocbench.evaluation.tables.matching import MATCHING, summarize_matching
 
-    summarize_matching(read_matching(place.target))
+    summarize_matching(MATCHING.read(place.target))
 
 
 def _predictions(place: Place) -> None:

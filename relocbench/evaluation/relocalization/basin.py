@@ -9,7 +9,6 @@ from typing import Literal
 
 from relocbench.datasets.core.schema import Strict
 from relocbench.errors import PredictionError
-from relocbench.files import parse_floats, read_csv
 
 Source = Literal["pairs", "given", "probe"]
 SAID: dict[Source, str] = {
@@ -85,23 +84,14 @@ def read_basins(folder: Path) -> dict[tuple[str, str, str], float]:
     Raises:
         PredictionError: no such table, wrong columns, a radius that is no number, or no radius of whole poses.
     """
+    from relocbench.evaluation.probe.records import RADII  # imported late: its package loads the plotting code
+
     path = folder / "radii.csv" if folder.is_dir() else folder
-    rows = read_csv(path, "radii of `relocbench probe`", PredictionError)
-    header = next(rows, (1, []))[1]
-    wanted = {"method", "what", "conditions", "radius"}
-    if not wanted <= set(header):
-        raise PredictionError(
-            f"expected columns {', '.join(sorted(wanted))} as `relocbench probe` writes them", path, 1
-        )
-    out = {}
-    for number, fields in rows:
-        if len(fields) != len(header):
-            raise PredictionError(f"expected {len(header)} columns, found {len(fields)}", path, number)
-        row = dict(zip(header, fields, strict=True))
-        if row["what"] in ("translation", "rotation"):
-            (radius,) = parse_floats([row["radius"]], path, number, "radius", PredictionError)
-            if radius > 0:
-                out[row["method"], row["what"], row["conditions"]] = radius
+    out = {
+        (row.method, row.what, row.conditions): row.radius
+        for row in RADII.read(path)
+        if row.what in ("translation", "rotation") and row.radius is not None and row.radius > 0
+    }
     if not out:
         raise PredictionError("holds no basin of whole poses; probe a tracker that starts from a prior", path)
     return out

@@ -36,7 +36,7 @@ class BlindTask(Strict):
     view_query: str
     view_gallery: str
     condition_query: str = ""
-    """empty, as the next; earlier versions told them"""
+    """empty, as the next: an export does not tell conditions"""
     condition_gallery: str = ""
 
 
@@ -135,8 +135,6 @@ def _task(
         queries=views(queries, task.view_query),
         gallery=views(gallery, task.view_gallery),
         relevance=relevance_from_lists([[] for _ in queries], len(gallery)),
-        condition_query=task.condition_query,
-        condition_gallery=task.condition_gallery,
     )
 
 

@@ -27,7 +27,7 @@ class Answer(PairRecord):
     """the most resident memory of the method's process until this answer, as the evaluator measured it"""
 
 
-ANSWERS = Schema(Answer, added_later=1)
+ANSWERS = Schema(Answer, last_optional=True)
 
 
 def read_answers(path: Path, only: Container[PairKey] | None = None) -> dict[PairKey, Answer]:

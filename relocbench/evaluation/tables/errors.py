@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -25,8 +24,8 @@ from relocbench.evaluation.tables.schema import (
     PairRecord,
     Schema,
     or_blank,
-    write_rows,
 )
+from relocbench.files import write_table
 from relocbench.metrics import (
     CORRECT,
     DifferentPlaces,
@@ -72,7 +71,7 @@ class PairErrors(PairRecord):
     """correlation of patches of the two images, -1 to 1"""
 
 
-ERRORS = Schema(PairErrors, added_later=8)
+ERRORS = Schema(PairErrors)
 NUMBERS = ERRORS.columns[4:]
 _ERRORS, _OPTIONAL = NUMBERS[:3], NUMBERS[3:]
 _MAY_BE_INFINITE = [*range(len(_ERRORS)), NUMBERS.index("vcre")]
@@ -218,7 +217,7 @@ def groups_in(group_names: Sequence[str]) -> list[str]:
 
 def write_errors(path: Path, rows: Sequence[PairErrors]) -> None:
     """Write ``PAIRSET.errors.csv``: one row for each pair of the set; the errors of a failed pair are ``inf``."""
-    write_rows(path, itertools.chain([ERRORS.columns], zip(*ErrorTable.of(rows).texts(), strict=True)))
+    write_table(path, ERRORS.columns, zip(*ErrorTable.of(rows).texts(), strict=True))
 
 
 def read_errors(path: Path) -> ErrorTable:

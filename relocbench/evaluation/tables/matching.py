@@ -10,9 +10,8 @@ from typing import Annotated
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
 from relocbench.evaluation.tables.schema import ALL, COUNT, TEXT, PairRecord, Schema
-from relocbench.metrics.pose.matching import OFFSET_EDGES_PX
 
-OFFSETS_PX = tuple(int(edge) for edge in OFFSET_EDGES_PX[1:])
+OFFSETS_PX = (1, 2, 4, 8, 16)
 """distances between the start and the true pixel"""
 
 Summary = dict[str, dict[str, float | int | None]]
@@ -47,19 +46,6 @@ class MatchingRow(PairRecord):
 
 
 MATCHING = Schema(MatchingRow)
-
-
-def read_matching(path: Path) -> list[MatchingRow]:
-    """Read ``PAIRSET.matching.csv``; one of earlier versions, which started each pixel at every offset, is refused.
-
-    Raises PredictionError with file and line.
-    """
-    try:
-        return MATCHING.read(path)
-    except PredictionError as bad:
-        if bad.line != 1:
-            raise
-        raise PredictionError(f"{bad.expected}; remove the file and measure again (--matching)", path, 1) from None
 
 
 def check_complete(rows: Sequence[MatchingRow], keys: Sequence[PairKey], path: Path) -> None:

@@ -12,8 +12,6 @@ What the cells of a column are, stands in the annotation of its field::
 
 from __future__ import annotations
 
-import csv
-import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -24,15 +22,15 @@ from relocbench.datasets.checks.faults import Findings
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
 from relocbench.files import (
-    atomic_write,
+    header_fault,
     parse_count,
     parse_floats,
     parse_timestamp,
     quick_counts,
     quick_floats,
     read_csv,
-    read_table,
     read_table_chunks,
+    write_table,
 )
 
 ALL = "all"
@@ -98,31 +96,6 @@ class TableRow:
 def is_duration(seconds: float) -> bool:
     """Whether a method can have taken so many seconds: from 0 to a year."""
     return 0 <= seconds <= _YEAR_S
-
-
-def read_rows(path: Path, columns: Sequence[str]) -> Iterator[TableRow]:
-    """Yield the rows of a table.
-
-    Raises:
-        PredictionError: with file and line: a wrong header, a row of another length, a field that cannot be read.
-    """
-    for line, row in read_table(path, columns, error=PredictionError):
-        yield TableRow(path, line, dict(zip(columns, row, strict=True)))
-
-
-def read_chunks(path: Path, columns: Sequence[str]) -> Iterator[tuple[list[int], list[list[str]]]]:
-    """The rows of a long table in chunks: the line numbers that rows begin on, and their fields.
-
-    Raises:
-        PredictionError: as :func:`read_rows`.
-    """
-    return read_table_chunks(path, columns, error=PredictionError)
-
-
-def write_rows(path: Path, rows: Iterable[Iterable[Any]]) -> None:
-    """Write a CSV table, whose header is the first of ``rows``, whole or not at all."""
-    with atomic_write(path) as stream:
-        csv.writer(stream, lineterminator="\n").writerows(rows)
 
 
 def float_text(value: float | None) -> str:
@@ -248,17 +221,17 @@ R = TypeVar("R", bound=Record)
 class Schema(Generic[R]):
     """The columns of a table, and its reading and writing, as a record states them."""
 
-    def __init__(self, record: type[R], *, added_later: int = 0) -> None:
+    def __init__(self, record: type[R], *, last_optional: bool = False) -> None:
         """State a table.
 
         Args:
-            added_later: how many of the last columns a table of an earlier version may lack, which are blank there.
+            last_optional: whether a table that was made elsewhere may lack the last column, which is blank there.
         """
         hints = get_type_hints(record, include_extras=True)
         self._make: Callable[..., R] = record
         self._kinds: dict[str, Kind[Any]] = {f.name: hints[f.name].__metadata__[0] for f in fields(record)}
         self.columns: tuple[str, ...] = tuple(self._kinds)
-        self.added_later = self.columns[len(self.columns) - added_later :]
+        self._last_optional = last_optional
 
     def of(self, values: Iterable[object]) -> R:
         """The record with these values, in the order of the columns."""
@@ -267,7 +240,7 @@ class Schema(Generic[R]):
     def write(self, path: Path, rows: Iterable[R]) -> None:
         """Write the table whole or not at all, in the order given."""
         texts = ([kind.text(getattr(row, name)) for name, kind in self._kinds.items()] for row in rows)
-        write_rows(path, itertools.chain([self.columns], texts))
+        write_table(path, self.columns, texts)
 
     def read(self, path: Path, keep: Callable[[Sequence[str]], bool] | None = None) -> list[R]:
         """Read the table.
@@ -295,20 +268,20 @@ class Schema(Generic[R]):
         return out
 
     def chunks(self, path: Path) -> Iterator[tuple[list[int], list[list[str]]]]:
-        """The rows in chunks: the line numbers that they begin on, and their fields, blank where the table lacks them.
+        """The rows in chunks: the line numbers that they begin on, and their fields, blank where one is optional.
 
         Raises:
-            PredictionError: as :func:`read_rows`.
+            PredictionError: with file and line: a wrong header, a row of another length.
         """
         head = next(read_csv(path, f"a table ({','.join(self.columns)})", PredictionError), (1, []))[1]
-        lacking = [""] * self._lacking(head)
-        for lines, rows in read_chunks(path, self.columns[: len(self.columns) - len(lacking)]):
+        lacking = self._lacking(head)
+        columns = self.columns[: len(self.columns) - len(lacking)]
+        for lines, rows in read_table_chunks(path, columns, error=PredictionError):
             yield lines, [[*row, *lacking] for row in rows] if lacking else rows
 
-    def _lacking(self, head: Sequence[str]) -> int:
-        """How many of the last columns a table with this header lacks; 0 where it has another header altogether."""
-        lacking = len(self.columns) - len(head)
-        return lacking if 0 < lacking <= len(self.added_later) and list(self.columns[: len(head)]) == list(head) else 0
+    def _lacking(self, head: Sequence[str]) -> list[str]:
+        """A blank for the last column where a table with this header lacks it, and may."""
+        return [""] if self._last_optional and tuple(head) == self.columns[:-1] else []
 
     def row(self, path: Path, line: int, texts: Sequence[str]) -> R:
         """One row. Raises PredictionError with file and line."""
@@ -334,13 +307,13 @@ class Schema(Generic[R]):
 
     def readable(self, path: Path, findings: Findings) -> Iterator[tuple[TableRow, R | None]]:
         """Each row with its record, None where it has a fault; all that is wrong with the table becomes a fault."""
-        head, first = ",".join(self.columns), dict[str, int]()
+        first = dict[str, int]()
         with findings.catching():
-            rows = read_csv(path, f"a table ({head})", PredictionError)
+            rows = read_csv(path, f"a table ({','.join(self.columns)})", PredictionError)
             header = next(rows, (1, []))[1]
-            lacking = [""] * self._lacking(header)
-            if [*header, *self.columns[len(self.columns) - len(lacking) :]] != list(self.columns):
-                raise PredictionError(f"expected the header {head}", path, 1)
+            lacking = self._lacking(header)
+            if not lacking and tuple(header) != self.columns:
+                raise PredictionError(header_fault(self.columns, header), path, 1)
             for line, row_texts in rows:
                 texts = [*row_texts, *lacking]
                 if len(texts) != len(self.columns):

@@ -28,7 +28,7 @@ from relocbench.evaluation.common.results import (
 from relocbench.evaluation.common.runs import Asking, run_each
 from relocbench.evaluation.isolation.capabilities import capabilities_of
 from relocbench.evaluation.tables.answers import read_answers
-from relocbench.evaluation.tables.matching import read_matching
+from relocbench.evaluation.tables.matching import MATCHING
 from relocbench.evaluation.tracking.external import import_predictions
 from relocbench.evaluation.tracking.matching import match_method
 from relocbench.evaluation.tracking.run import run_method
@@ -202,7 +202,7 @@ def _crashes(folder: MethodResults, pair_sets: list[PairSet]) -> list[tuple[str,
     ]
     crashed = [(_pair_text(a.key), a.message) for a in answers if a.status == "error"]
     tables = [path for s in pair_sets if (path := folder.matching(s.name)).exists()]
-    unmatched = {_pair_text(row.key): row.message for path in tables for row in read_matching(path) if row.message}
+    unmatched = {_pair_text(row.key): row.message for path in tables for row in MATCHING.read(path) if row.message}
     return [
         *first_crash(folder.label, f"crashed on {len(crashed)} of {len(answers)} pairs, counted as failures", crashed),
         *first_crash(

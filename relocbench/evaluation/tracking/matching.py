@@ -43,13 +43,12 @@ from relocbench.evaluation.isolation.worker import (
     tracker_of,
     traversal_of,
 )
-from relocbench.evaluation.tables.matching import MATCHING, OFFSETS_PX, MatchingRow, check_complete, read_matching
+from relocbench.evaluation.tables.matching import MATCHING, OFFSETS_PX, MatchingRow, check_complete
 from relocbench.evaluation.tracking.run import new_record
 from relocbench.execution import step
 from relocbench.files import locked_folder
 from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec
-from relocbench.metrics import matching_quality
 
 PER_PAIR = 1000
 """the largest number of visible correspondences of a pair that are used, each from one offset"""
@@ -168,7 +167,7 @@ def _open_pairs(folder: MethodResults, pair_set: PairSet) -> list[PairKey]:
     """The pairs of a set that are still to be measured."""
     path = folder.matching(pair_set.name)
     if path.exists():
-        check_complete(read_matching(path), [p.key for p in pair_set.pairs], path)
+        check_complete(MATCHING.read(path), [p.key for p in pair_set.pairs], path)
         return []
     done = answered_keys(folder.matching_journal(pair_set.name))
     return [p.key for p in pair_set.pairs if p.key not in done]
@@ -223,11 +222,10 @@ def _count(offset: int, starts: Starts, ends: Array) -> tuple[int, ...]:
     count = int(rows.sum())
     if not count:
         return offset, 0, 0, 0, 0, 0, 0
-    quality = matching_quality(ends[rows], starts.uv_query[rows], starts.uv_start[rows] - starts.uv_query[rows])
-    shares = [(share["match@1px"], share["match@3px"]) for share in (quality.share, quality.start_share)]
-    (near, nearer_than_3), (start_near, start_3) = [(round(a * count), round(b * count)) for a, b in shares]
     answered = int(np.isfinite(ends[rows]).all(axis=1).sum())
-    return offset, count, answered, near, nearer_than_3, start_near, start_3
+    # Rounded to 1e-6 px, so that a start drawn 1 px from the truth is within 1 px; NaN is near nothing.
+    away = [np.round(np.linalg.norm((at - starts.uv_query)[rows], axis=1), 6) for at in (ends, starts.uv_start)]
+    return offset, count, answered, *(int(np.sum(distance <= px)) for distance in away for px in (1, 3))
 
 
 def _write_crash(unit: Unit, key: PairKey, message: str) -> None:

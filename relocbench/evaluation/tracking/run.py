@@ -204,7 +204,7 @@ def _collect(pair_set: PairSet, folder: MethodResults) -> None:
                 entry["confidence"],
                 entry["message"],
                 entry["info"],
-                entry.get("memory"),  # not in journals of earlier versions
+                entry["memory"],
             )
         )
     write_text(folder.predictions(pair_set.name), "".join(lines))

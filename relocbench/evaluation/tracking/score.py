@@ -19,15 +19,9 @@ from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import MethodResults, ScoreRecord, check_made_for, write_record
 from relocbench.evaluation.tables.answers import Answer, read_answers
 from relocbench.evaluation.tables.errors import ErrorTable, PairErrors, groups_in, write_errors
-from relocbench.evaluation.tables.matching import (
-    MatchingRow,
-    Summary,
-    check_complete,
-    read_matching,
-    summarize_matching,
-)
+from relocbench.evaluation.tables.matching import MATCHING, MatchingRow, Summary, check_complete, summarize_matching
 from relocbench.evaluation.tables.schema import ALL
-from relocbench.files import plain_file, remove_parts
+from relocbench.files import plain_file, remove_parts, sha256_file
 from relocbench.geometry import Camera
 from relocbench.metrics import PairSetSummary, align_predictions, pose_array, pose_errors, reprojection_errors
 
@@ -79,14 +73,14 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
         rows = score_pair_set(pair_set, folder)
         write_errors(folder.errors(pair_set.name), rows)
         hashes[pair_set.name] = predictions_hash(folder, pair_set.name)
-        errors[pair_set.name] = errors_hash(folder, pair_set.name)
+        errors[pair_set.name] = sha256_file(folder.errors(pair_set.name))
         truth[pair_set.name] = truth_hash(pair_set)
         scores[pair_set.name] = {g: summarize_rows(rows, g).to_dict() for g in groups_of(rows)}
         if pair_set.negative_pairs:
             elsewhere[pair_set.name] = rows.different_places.to_dict()
         if folder.matching(pair_set.name).exists():
             matching[pair_set.name] = matching_scores(pair_set, folder)
-            tables[pair_set.name] = matching_hash(folder, pair_set.name)
+            tables[pair_set.name] = sha256_file(folder.matching(pair_set.name))
     known = {s for s in dataset.pair_set_names if folder.predictions(s).exists()}
     matched = {s for s in known if folder.matching(s).exists()}
     score_record = ScoreRecord(
@@ -94,7 +88,7 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
         formulas=FORMULAS,
         fingerprint=dataset.fingerprint,
         question=dataset.content_id,
-        run=run_hash(folder),
+        run=sha256_file(folder.run_yaml),
         predictions={k: v for k, v in sorted(hashes.items()) if k in known},
         errors={k: v for k, v in sorted(errors.items()) if k in known},
         truth={k: v for k, v in sorted(truth.items()) if k in known},
@@ -170,7 +164,7 @@ def _reprojection_errors(pair_set: PairSet, T_pred: Array, T_gt: Array, answered
 def matching_scores(pair_set: PairSet, folder: MethodResults) -> dict[str, Summary]:
     """The matching quality of each group of a pair set. Raises PredictionError."""
     path = folder.matching(pair_set.name)
-    rows = read_matching(path)
+    rows = MATCHING.read(path)
     check_complete(rows, [p.key for p in pair_set.pairs], path)
     return {group: summarize_matching(rows, group) for group in groups_of(rows)}
 
@@ -190,38 +184,22 @@ def predictions_hash(folder: MethodResults, pair_set: str) -> str:
     return _hash_of(folder.predictions(pair_set), folder.answers(pair_set))
 
 
-def errors_hash(folder: MethodResults, pair_set: str) -> str:
-    """The SHA-256 of a table of errors, by which one that was changed after scoring is recognized."""
-    return _hash_of(folder.errors(pair_set))
-
-
-def matching_hash(folder: MethodResults, pair_set: str) -> str:
-    """The SHA-256 of a table of matching quality, by which one that was changed after scoring is recognized."""
-    return _hash_of(folder.matching(pair_set))
-
-
 def truth_hash(pair_set: PairSet) -> str:
     """The SHA-256 of the pair file and its table, which hold the truth that predictions are compared with."""
     return _hash_of(pair_set.layout.pair_file(pair_set.name), pair_set.layout.pair_table(pair_set.name))
 
 
-def run_hash(folder: MethodResults) -> str:
-    """The SHA-256 of ``run.yaml``, which says how the predictions were made."""
-    return _hash_of(folder.run_yaml)
-
-
-def _hash_of(path: Path, *others: Path) -> str:
-    """The SHA-256 of files with a line end between them; of the files but the first, those that do not exist are empty.
+def _hash_of(path: Path, other: Path) -> str:
+    """The SHA-256 of two files with a line end between them; the second is empty if it does not exist.
 
     Raises:
         PredictionError: no such file, or none that can be read.
     """
     digest = hashlib.sha256()
     _add_file(digest, path)
-    for other in others:
-        digest.update(b"\n")
-        if other.exists():
-            _add_file(digest, other)
+    digest.update(b"\n")
+    if other.exists():
+        _add_file(digest, other)
     return digest.hexdigest()
 
 

@@ -17,19 +17,17 @@ from relocbench.datasets.core.pair_table import MEASURES
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import MethodResults, RunRecord, ScoreRecord
-from relocbench.evaluation.tables.errors import ERRORS, NUMBERS, ErrorTable
-from relocbench.evaluation.tables.matching import MatchingRow, check_complete, read_matching, summarize_matching
+from relocbench.evaluation.tables.errors import NUMBERS, ErrorTable
+from relocbench.evaluation.tables.matching import MATCHING, MatchingRow, check_complete, summarize_matching
 from relocbench.evaluation.tracking.score import (
     FORMULAS,
-    errors_hash,
     groups_of,
-    matching_hash,
     predictions_hash,
-    run_hash,
     score_pair_set,
     summarize_rows,
     truth_hash,
 )
+from relocbench.files import sha256_file
 
 _SAME = (1e-9, 1e-6)
 """Relative and absolute difference that the last digits of another processor explain."""
@@ -46,9 +44,6 @@ def faults_of_record(
         again: what scores the predictions again, in words.
     """
     path = folder.scores_yaml
-    if not scores.formulas:
-        yield PredictionError(f"does not record what it was computed from (made by an earlier version); {again}", path)
-        return
     if scores.formulas != FORMULAS:
         message = f"was computed by version {scores.formulas} of the formulas, this is version {FORMULAS}"
         yield PredictionError(f"{message}; {again}", path)
@@ -56,7 +51,7 @@ def faults_of_record(
     if scores.fingerprint != run.fingerprint:
         theirs, ours = scores.fingerprint[:SHORT], run.fingerprint[:SHORT]
         yield PredictionError(f"was computed on the dataset {theirs}, the predictions are for {ours}; {again}", path)
-    if scores.run != run_hash(folder):
+    if scores.run != sha256_file(folder.run_yaml):
         yield PredictionError(
             "changed since the predictions were scored; put the original back, or run the method again with "
             "--overwrite always",
@@ -73,7 +68,7 @@ def faults_of_pair_set(folder: MethodResults, name: str, scores: ScoreRecord, ag
         yield PredictionError(f"changed since it was scored; {again}", folder.predictions(name))
     if not folder.errors(name).exists():
         yield PredictionError(f"missing, but {folder.scores_yaml.name} summarises it; {again}", folder.errors(name))
-    elif scores.errors.get(name) != errors_hash(folder, name):
+    elif scores.errors.get(name) != sha256_file(folder.errors(name)):
         yield PredictionError(f"changed since the predictions were scored; {again}", folder.errors(name))
 
 
@@ -90,9 +85,9 @@ def matching_of_pair_set(
     path = folder.matching(name)
     if not path.exists():
         raise PredictionError(f"missing, but {folder.scores_yaml.name} summarises it; {again}", path)
-    rows = read_matching(path)
+    rows = MATCHING.read(path)
     check_complete(rows, keys, path)
-    if scores.matching_tables.get(name) != matching_hash(folder, name):
+    if scores.matching_tables.get(name) != sha256_file(path):
         raise PredictionError(f"changed since it was scored; {again}", path)
     recorded = scores.matching.get(name, {})
     if any(recorded.get(group) != summarize_matching(rows, group) for group in groups_of(rows)):
@@ -169,9 +164,7 @@ def _first_difference(
         return f"the table has {len(claimed)} pairs, of which some are not among the {len(computed)} of the dataset"
     relative, absolute = tolerance
     differs = ~np.isclose(claimed.numbers, computed.numbers, rtol=relative, atol=absolute, equal_nan=True)
-    # A table of an earlier version says nothing about what was added later: what was computed here is shown.
-    lacking = [name for name in ERRORS.added_later if np.isnan(claimed.column(name)).all()]
-    differs[[NUMBERS.index(name) for name in (*lacking, *but)]] = False
+    differs[[NUMBERS.index(name) for name in but]] = False
     words = [(c, f) for c, f in zip(claimed.groups, computed.groups, strict=True)]
     status = claimed.status_index != computed.status_index
     group = np.array([c != f for c, f in words], dtype=bool)

@@ -12,12 +12,13 @@ formulas or markup.
 
 from __future__ import annotations
 
+import csv
 import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from relocbench.evaluation.tables.schema import write_rows
+from relocbench.files import atomic_write
 from relocbench.metrics import Interval
 
 METHOD, RANK = "method", "rank"
@@ -79,4 +80,6 @@ def cell(value: Value) -> Value:
 def write_records(path: Path, records: Sequence[Mapping[str, Value]]) -> None:
     """Write records of equal keys as a CSV table of :func:`cell` values; a file without records is empty."""
     header = [list(records[0])] if records else []
-    write_rows(path, (map(cell, row) for row in [*header, *(record.values() for record in records)]))
+    with atomic_write(path) as stream:
+        rows = [*header, *(record.values() for record in records)]
+        csv.writer(stream, lineterminator="\n").writerows(map(cell, row) for row in rows)

@@ -266,9 +266,6 @@ def _rule_differs(record: SetRecord, other: SetRecord) -> str:
 
 def _check_digests(folder: RetrieverResults, tasks: Collection[str], scored: RetrieverScores) -> None:
     """Raise PredictionError unless ``scores.yaml`` was computed from the files beside it."""
-    if not scored.run:
-        why = "does not say what it was computed from, as earlier versions did not"
-        raise PredictionError(f"{why}; {_AGAIN}", folder.scores_yaml)
     if scored.run != sha256_file(folder.run_yaml):
         raise PredictionError(f"is not the record that was scored; {_AGAIN}", folder.run_yaml)
     for task in tasks:

@@ -13,7 +13,7 @@ from relocbench.leaderboard.common.text import Value, cell
 from relocbench.leaderboard.tracking.columns import lines_of, place_columns, tracking_columns
 from relocbench.leaderboard.tracking.model import Board
 
-ERRORS_HEAD = ("dataset", "fingerprint", "pair_set", "method")
+ERROR_COLUMNS = ("dataset", "fingerprint", "pair_set", "method", *ERRORS.columns)
 
 
 def leaderboard_rows(board: Board) -> list[dict[str, Value]]:
@@ -42,11 +42,10 @@ def seed_rows(board: Board) -> list[dict[str, Value]]:
 
 
 def error_rows(board: Board) -> Iterator[Sequence[Value]]:
-    """The rows of ``errors.csv``, with its header: the errors of every pair and every method, as safe texts.
+    """The rows of ``errors.csv``, of :data:`ERROR_COLUMNS`: the errors of every pair and every method, as safe texts.
 
     In each pair set, pairs of different places follow those of one place.
     """
-    yield [*ERRORS_HEAD, *ERRORS.columns]
     for dataset in board.datasets:
         record = dataset.entry.record
         for name in dataset.entry.pair_sets:

@@ -8,15 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
-from relocbench.evaluation.tables.schema import write_rows
-from relocbench.files import remove_parts, write_text
+from relocbench.files import remove_parts, write_table, write_text
 from relocbench.leaderboard.common.cards import write_cards
 from relocbench.leaderboard.common.over_datasets import over_records
 from relocbench.leaderboard.common.text import write_records
 from relocbench.leaderboard.tracking.doubt import check_truth, truth_rows
 from relocbench.leaderboard.tracking.front_page import READING, front_page, reading_page
 from relocbench.leaderboard.tracking.load import load_results
-from relocbench.leaderboard.tracking.long_form import error_rows, leaderboard_rows, seed_rows
+from relocbench.leaderboard.tracking.long_form import ERROR_COLUMNS, error_rows, leaderboard_rows, seed_rows
 from relocbench.leaderboard.tracking.marks import not_rescored
 from relocbench.leaderboard.tracking.matching import matching_rows
 from relocbench.leaderboard.tracking.model import RANKING, Board, DatasetEntry
@@ -101,7 +100,7 @@ def write_tables(board: Board, out: Path) -> list[Path]:
     remove_parts(out, deep=False)
     paths = [out / "leaderboard.csv", out / "errors.csv"]
     write_records(paths[0], leaderboard_rows(board))
-    write_rows(paths[1], error_rows(board))
+    write_table(paths[1], ERROR_COLUMNS, error_rows(board))
     checks = [
         row
         for dataset in board.datasets

@@ -1,1 +1,1 @@
-"""Metrics of estimated poses: errors, failure policy, recalls and areas, confidence, matching quality, basin radii."""
+"""Metrics of estimated poses: errors, failure policy, recalls and areas, confidence, basin radii."""

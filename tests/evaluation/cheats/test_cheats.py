@@ -30,7 +30,7 @@ from relocbench.evaluation.retrieval.describe import AnonymousViews, Describer, 
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.tables.answers import Answer, read_answers
 from relocbench.evaluation.tables.errors import read_errors
-from relocbench.evaluation.tables.matching import OFFSETS_PX, read_matching
+from relocbench.evaluation.tables.matching import MATCHING, OFFSETS_PX
 from relocbench.evaluation.tracking.check import check
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.execution import Run
@@ -371,7 +371,7 @@ def test_nothing_is_remembered_from_one_pair_set_to_the_next(dataset: Dataset, t
 def test_who_intersects_circles_around_its_starts_finds_what_the_starts_find(tmp_path: Path) -> None:
     matched = make_small_dataset(tmp_path / "small", frames=4, correspondences=60, size=(160, 120))
     (cheat,) = evaluate(matched, tmp_path / "r", f"cheat={HERE}:Trilaterator", matching=True)
-    rows = read_matching(cheat.matching(ACROSS))
+    rows = MATCHING.read(cheat.matching(ACROSS))
     assert sum(found.pixels for found in rows) > 100
     for found in rows:
         assert (found.within_1px, found.within_3px) == (found.start_within_1px, found.start_within_3px)
@@ -381,7 +381,7 @@ def test_who_intersects_circles_around_its_starts_finds_what_the_starts_find(tmp
 def test_who_fits_a_pose_to_all_starts_gains_as_documented_and_is_found_by_check_method(tmp_path: Path) -> None:
     matched = make_small_dataset(tmp_path / "small", frames=4, correspondences=400, size=(160, 120))
     (cheat,) = evaluate(matched, tmp_path / "r", f"cheat={HERE}:PoseFitter", matching=True)
-    rows = read_matching(cheat.matching(ACROSS))
+    rows = MATCHING.read(cheat.matching(ACROSS))
     assert sum(found.within_3px for found in rows) > 1.5 * sum(found.start_within_3px for found in rows)
     (alone,) = (f for f in check(parse_method(f"{HERE}:PoseFitter")) if "each pixel by itself" in f.check)
     assert not alone.passed

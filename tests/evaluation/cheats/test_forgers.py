@@ -265,7 +265,7 @@ def test_scores_of_another_version_of_the_formulas_are_scored_again(results: Pat
     change_yaml(folder.scores_yaml, lambda scores: scores.update(formulas=99))
     assert refused_file(results, "version 99") == folder.scores_yaml
     change_yaml(folder.scores_yaml, lambda scores: [scores.pop(k) for k in ("formulas", "errors", "truth", "run")])
-    assert refused_file(results, "earlier version") == folder.scores_yaml
+    assert refused_file(results, "version 0") == folder.scores_yaml
     evaluate(dataset, results, "identity", pair_sets=(WITHIN,))
     assert load_results(results, datasets=lookup(results, dataset.root))[0].methods[1].rescored, (
         "both pair sets are scored again"

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from made_radii import write_radii
 from pipelines_for_tests import FAR_M, lists
 from refusals import refused
 from small_dataset import ACROSS, CAMERA, make_small_dataset
@@ -144,9 +145,7 @@ def test_a_basin_can_be_given_and_changes_no_answer(dataset: Dataset, tmp_path: 
     ]
     assert folder(wide, "t").scores().basins[ACROSS].source == "given"
     radii = tmp_path / "radii.csv"
-    radii.write_text(
-        "method,what,conditions,radius\nt,translation,across conditions,0.125\nt,rotation,across conditions,9\n"
-    )
+    write_radii(radii, ("t", "translation", "across conditions", 0.125), ("t", "rotation", "across conditions", 9))
     own = run(*args, probe=radii)
     basins = own.basins(folder(own, "t")), own.basins(folder(own, "keyframe-pose"))
     assert [b[ACROSS].source for b in basins] == ["probe", "pairs"]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_radii import write_radii
 from pipelines_for_tests import truth
 from refusals import refused
 from small_dataset import ACROSS, CAMERA, make_small_dataset
@@ -107,15 +108,15 @@ def test_basins_are_given_measured_or_the_reach(tmp_path: Path) -> None:
     assert given_basin(None, None) is None
     assert given_basin(2.0, None) == (2.0, 180.0)
     table = tmp_path / "radii.csv"
-    table.write_text(
-        "method,what,level,conditions,radius\n"
-        "dso,pixels,,across conditions,3.0\n"
-        "dso,translation,,across conditions,1.5\n"
-        "dso,rotation,,across conditions,6\n"
-        "dso,translation,,sun → rain,0.5\n"
-        "dso,rotation,,sun → rain,3\n"
-        "weak,translation,,across conditions,0.000000\n"
-        "weak,rotation,,across conditions,2\n"
+    write_radii(
+        table,
+        ("dso", "pixels", "across conditions", 3.0),
+        ("dso", "translation", "across conditions", 1.5),
+        ("dso", "rotation", "across conditions", 6),
+        ("dso", "translation", "sun → rain", 0.5),
+        ("dso", "rotation", "sun → rain", 3),
+        ("weak", "translation", "across conditions", "0.000000"),
+        ("weak", "rotation", "across conditions", 2),
     )
     basins = Basins(None, read_basins(tmp_path))
     assert basins.of("dso", "sun", "rain", (9.0, 9.0)).limits == (0.5, 3.0)
@@ -124,9 +125,9 @@ def test_basins_are_given_measured_or_the_reach(tmp_path: Path) -> None:
     assert basins.of("weak", "sun", "fog", (9.0, 8.0)).source == "pairs"
     assert [basins.knows(name) for name in ("dso", "orb-pnp", "weak")] == [True, False, False]
     assert Basins((1.0, 2.0)).of("dso", "a", "b", (9.0, 9.0)).limits == (1.0, 2.0)
-    table.write_text("method,what,level,conditions,radius\ndso,translation,,a,wide\n")
+    write_radii(table, ("dso", "translation", "a", "wide"))
     with refused(PredictionError, "radii.csv", 2, "radius", "wide"):
         read_basins(table)
     table.write_text("method,offset\n")
-    with refused(PredictionError, "radii.csv", 1):
+    with refused(PredictionError, "radii.csv", 1, "radius"):
         read_basins(tmp_path)

@@ -217,7 +217,7 @@ def test_edited_files_are_refused_without_the_truth(results: Path) -> None:
     assert refused_file(results, "changed") == folder.predictions(D2S)
     folder.predictions(D2S).write_text(lists)
     change_yaml(folder.scores_yaml, lambda scores: [scores.pop("run"), scores.pop("lists")])
-    assert refused_file(results, "earlier versions") == folder.scores_yaml
+    assert refused_file(results, "record") == folder.run_yaml
 
 
 def test_claiming_that_more_images_are_kept_than_there_are_exposes_the_ranks_behind_them(

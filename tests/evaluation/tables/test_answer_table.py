@@ -31,7 +31,7 @@ answers = st.builds(
 
 
 def write(path: Path, rows: str) -> Path:
-    path.write_text(f"{','.join(ANSWERS.columns[:7])}\n{rows}")  # as earlier versions wrote it
+    path.write_text(f"{','.join(ANSWERS.columns[:7])}\n{rows}")  # as it may come from elsewhere
     return path
 
 

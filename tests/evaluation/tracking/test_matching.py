@@ -21,7 +21,7 @@ from relocbench.datasets.pairs.correspondences import Correspondences
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import MethodResults
 from relocbench.evaluation.tables.matching import MATCHING as TABLE
-from relocbench.evaluation.tables.matching import OFFSETS_PX, MatchingRow, read_matching, summarize_matching
+from relocbench.evaluation.tables.matching import OFFSETS_PX, MatchingRow, summarize_matching
 from relocbench.evaluation.tracking.check import check
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
 from relocbench.evaluation.tracking.matching import PER_PAIR, draw_starts
@@ -116,7 +116,7 @@ def test_starts_depend_on_the_pair_alone_and_are_bounded() -> None:
 
 def test_a_method_that_stays_at_its_starts_scores_what_the_starts_score(dataset: Dataset, tmp_path: Path) -> None:
     folder = evaluate(dataset, tmp_path, MATCHING).folders[0]
-    rows = read_matching(folder.matching(ACROSS))
+    rows = TABLE.read(folder.matching(ACROSS))
     assert [r.key for r in rows[:: len(OFFSETS_PX)]] == [p.key for p in dataset.pair_set(ACROSS).pairs]
     for row in rows:
         known = read_correspondences(dataset.layout.correspondence_file(ACROSS), row.key)
@@ -165,7 +165,7 @@ def test_what_is_measured_is_not_asked_again_and_a_stopped_run_goes_on(dataset: 
     evaluate(dataset, tmp_path, MATCHING, settings=settings)
     assert log.read_text().splitlines() == asked
     # As a killed run leaves it: some pairs in the journal, the last line torn.
-    rows = read_matching(folder.matching(ACROSS))
+    rows = TABLE.read(folder.matching(ACROSS))
     folder.matching(ACROSS).unlink()
     journal = folder.matching_journal(ACROSS)
     journal.mkdir(parents=True)
@@ -207,7 +207,7 @@ def test_an_answer_that_breaks_the_contract_finds_nothing_and_is_told(
     dataset: Dataset, tmp_path: Path, answer: str, words: str
 ) -> None:
     report = evaluate(dataset, tmp_path, MATCHING, settings=(f"answer={answer}",), pair_sets=(ACROSS,))
-    rows = read_matching(report.folders[0].matching(ACROSS))
+    rows = TABLE.read(report.folders[0].matching(ACROSS))
     assert all(r.answered == 0 < r.pixels for r in rows)
     ((label, message),) = report.crashed
     assert label == "m"
@@ -227,7 +227,7 @@ def test_a_pair_that_raises_or_kills_its_worker_costs_that_pair_alone(
 ) -> None:
     lost = dataset.pair_set(ACROSS).pairs[2].query_timestamp_ns
     report = evaluate(dataset, tmp_path, MATCHING, settings=(f"{how}={lost}",), pair_sets=(ACROSS,), workers=workers)
-    for row in read_matching(report.folders[0].matching(ACROSS)):
+    for row in TABLE.read(report.folders[0].matching(ACROSS)):
         assert (told in row.message) == bool(row.message) == (row.key[1] == lost)
         assert (row.answered > 0) == (not row.message)
 
@@ -285,7 +285,7 @@ def test_without_any_the_leaderboard_is_silent_about_it(dataset: Dataset, tmp_pa
 
 def test_a_table_that_is_not_what_the_scores_summarise_is_refused(dataset: Dataset, tmp_path: Path) -> None:
     folder = evaluate(dataset, tmp_path / "r", MATCHING).folders[0]
-    rows = read_matching(folder.matching(ACROSS))
+    rows = TABLE.read(folder.matching(ACROSS))
     better = replace(rows[0], within_1px=0, within_3px=0)
     TABLE.write(folder.matching(ACROSS), [better, *rows[1:]])
     with refused(PredictionError, folder.matching(ACROSS), None, "changed"):
@@ -307,7 +307,7 @@ def test_a_table_that_is_not_what_the_scores_summarise_is_refused(dataset: Datas
 @pytest.mark.parametrize(
     ("change", "line", "names"),
     [
-        ((",pixels,", ",count,"), 1, ("--matching",)),
+        ((",pixels,", ",count,"), 1, ("pixels",)),
         ((",1,60,", ",1,many,"), None, ("pixels", "many")),
         ((",1,60,", ",1,0,"), None, ("within_1px", "within_3px", "answered", "pixels")),
         ((",1,60,", ",60,"), None, (11, 10)),
@@ -319,12 +319,12 @@ def test_a_bad_table_is_named_with_its_line(
     folder = evaluate(dataset, tmp_path / "r", MATCHING, pair_sets=(WITHIN,)).folders[0]
     path = folder.matching(WITHIN)
     text = path.read_text()
-    first = read_matching(path)[0].pixels
+    first = TABLE.read(path)[0].pixels
     changed = text.replace(change[0].replace("60", str(first)), change[1], 1)
     assert changed != text
     path.write_text(changed)
     with refused(PredictionError, path.name, line, *names):
-        read_matching(path)
+        TABLE.read(path)
     found = validate_results(folder.root, dataset, Silent())
     assert any(path.name in str(fault) for fault in found.faults)
 
@@ -335,7 +335,7 @@ def test_validate_accepts_a_folder_with_matching_quality(dataset: Dataset, tmp_p
 
 
 def test_groups_are_summarised_by_their_own_pairs(dataset: Dataset, tmp_path: Path) -> None:
-    rows = read_matching(evaluate(dataset, tmp_path, MATCHING).folders[0].matching(WITHIN))
+    rows = TABLE.read(evaluate(dataset, tmp_path, MATCHING).folders[0].matching(WITHIN))
     parts = [summarize_matching(rows, group)["all"]["count"] for group in ("step_1", "step_2")]
     assert sum(parts) == summarize_matching(rows)["all"]["count"]  # type: ignore[arg-type]
     assert summarize_matching([])["all"] == {"count": 0, **dict.fromkeys(("answered", *_shares()))}

@@ -23,6 +23,7 @@ from relocbench.evaluation.isolation.answers import ask, checked_answer, checked
 from relocbench.evaluation.isolation.guard import batch_of, guarded, neighbours_of
 from relocbench.evaluation.isolation.handles import LocalTracker
 from relocbench.evaluation.isolation.info_text import INFO_CHARACTERS
+from relocbench.evaluation.probe.records import RADII
 from relocbench.evaluation.relocalization.basin import read_basins
 from relocbench.evaluation.retrieval.answers import ANSWERS as RETRIEVED
 from relocbench.evaluation.retrieval.describe import Describer
@@ -30,7 +31,7 @@ from relocbench.evaluation.retrieval.ranking import rank_task
 from relocbench.evaluation.retrieval.run import RetrieverSession
 from relocbench.evaluation.tables.answers import Answer, read_answers
 from relocbench.evaluation.tables.errors import read_errors
-from relocbench.evaluation.tables.matching import MATCHING, read_matching
+from relocbench.evaluation.tables.matching import MATCHING
 from relocbench.evaluation.tracking.check import check
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
 from relocbench.leaderboard.tracking.load import load_results
@@ -328,8 +329,8 @@ def test_descriptors_that_overflow_retrieve_nothing_or_something_but_end_nothing
 READERS: dict[str, tuple[Callable[[Path], object], str, int]] = {
     "answers": (read_answers, "ref_timestamp_ns,query_timestamp_ns,status,seconds,confidence,message,info", 7),
     "retrieved": (RETRIEVED.read, "query,group,status,positives,ranks,seconds,message", 7),
-    "matching": (read_matching, ",".join(MATCHING.columns), len(MATCHING.columns)),
-    "basin": (read_basins, "method,what,conditions,radius", 4),
+    "matching": (MATCHING.read, ",".join(MATCHING.columns), len(MATCHING.columns)),
+    "basin": (read_basins, ",".join(RADII.columns), len(RADII.columns)),
 }
 
 

@@ -38,8 +38,7 @@
     $("sweep-title").textContent = `One factor: ${sweep.name}`;
     $("sweep-about").textContent = `Only ${sweep.name} differs between the queries; the dotted line is where the keyframes have it. `
       + (several ? "Where several pair sets have one value, a point is their mean, without an interval. " : "")
-      + (bars ? "Bars are the intervals of the tables." : "There are no intervals: a pair set is worth too few independent pairs, or several have one value.")
-      + (sweep.known ? "" : " The dataset was not available, so that steps are known by their number alone.");
+      + (bars ? "Bars are the intervals of the tables." : "There are no intervals: a pair set is worth too few independent pairs, or several have one value.");
     chart("sweep", traces, {
       xaxis: { title: { text: escape(sweep.axis) } }, yaxis: { title: { text: `${escape(set.ranking)}, %` }, range: [-2, 102] },
       shapes: [{ type: "line", x0: sweep.reference, x1: sweep.reference, yref: "paper", y0: 0, y1: 1, line: { color: css("--line-strong"), dash: "dot", width: 1.5 } }],

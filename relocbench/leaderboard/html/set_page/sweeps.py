@@ -1,13 +1,10 @@
 """Sweeps: pair sets whose queries differ in one factor of the rendering, and the value of the factor in each.
 
-Results name conditions and no factors. Where the dataset is available, its ``dataset.yaml`` holds the factors of all
-conditions; elsewhere the steps of ``build-dataset synthetic --sweep`` are known by the names of their conditions, such
-as ``wetness 3``, and have a number but no value.
+Results name conditions and no factors: the ``dataset.yaml`` of a dataset that is at hand holds those of all conditions.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -21,24 +18,19 @@ _ENDS = 2
 """stations of a sweep that goes one way"""
 _LEFT_OUT = {"months": 0.0}
 """factors that datasets do not record where they have no effect"""
-_STEP = re.compile(r"(.+) (\d{1,6})")
 _UNITS = {"_deg": "°", "_mm_h": "mm/h", "_ms": "ms", "_px": "px", "_ev": "EV"}
 
 
 def sweep_of(pair_sets: Mapping[str, PairSetRecord], dataset: Dataset | None) -> dict[str, Any] | None:
-    """The sweep that the pair sets of two drives form; None where they form none.
+    """The sweep that the pair sets of two drives form; None where they form none, or the dataset is not at hand.
 
     Returns:
-        ``name`` of the sweep or factor, ``axis``: what the values are, in words, ``values`` by pair set, ``reference``:
-        the value of the keyframes' condition, and ``known``: whether values are those of the dataset, and not only
-        the numbers of steps.
+        ``name`` of the sweep or factor, ``axis``: what the values are, in words, ``values`` by pair set, and
+        ``reference``: the value of the keyframes' condition.
     """
+    if dataset is None:
+        return None
     across = {name: record for name, record in pair_sets.items() if record.reference != record.query}
-    by_factors = None if dataset is None else _by_factors(across, dataset)
-    return by_factors or _by_names(across)
-
-
-def _by_factors(across: Mapping[str, PairSetRecord], dataset: Dataset) -> dict[str, Any] | None:
     made_by = dataset.file.made_by
     recorded, options = made_by.get("factors"), made_by.get("options")
     if not isinstance(recorded, dict) or not isinstance(options, dict):
@@ -64,25 +56,7 @@ def _by_factors(across: Mapping[str, PairSetRecord], dataset: Dataset) -> dict[s
     references = {_number(reference, key) for reference, _ in sides.values()}
     if None in values.values() or len(set(values.values())) < _FEWEST or len(references) != 1:
         return None
-    return {"name": name, "axis": axis_of(key), "values": values, "reference": references.pop(), "known": True}
-
-
-def _by_names(across: Mapping[str, PairSetRecord]) -> dict[str, Any] | None:
-    sides = {
-        name: (_STEP.fullmatch(r.reference_condition), _STEP.fullmatch(r.query_condition)) for name, r in across.items()
-    }
-    steps = [match for both in sides.values() for match in both]
-    if not steps or None in steps:
-        return None
-    names = {match[1] for match in steps if match is not None}
-    if len(names) != 1 or not names <= SWEEPS.keys():
-        return None
-    values = {pair_set: float(query[2]) for pair_set, (_, query) in sides.items() if query is not None}
-    references = {float(reference[2]) for reference, _ in sides.values() if reference is not None}
-    if len(set(values.values())) < _FEWEST or len(references) != 1:
-        return None
-    (name,) = names
-    return {"name": name, "axis": f"step of {name}", "values": values, "reference": references.pop(), "known": False}
+    return {"name": name, "axis": axis_of(key), "values": values, "reference": references.pop()}
 
 
 def axis_of(key: str) -> str:
