@@ -82,27 +82,6 @@ def test_workers_do_not_change_the_bytes(recording: Path, tmp_path: Path) -> Non
     assert build(recording, tmp_path / "a").fingerprint == build(recording, tmp_path / "b", workers=2).fingerprint
 
 
-@pytest.mark.thorough
-def test_a_build_that_was_interrupted_ends_with_the_same_bytes(recording: Path, tmp_path: Path) -> None:
-    whole, torn = tmp_path / "whole", tmp_path / "torn"
-    fingerprint = build(recording, whole).fingerprint
-    build(recording, torn)
-    layout = Dataset(torn).layout
-    traversal = layout.traversal("kitti_03")
-    layout.dataset_yaml.unlink()
-    layout.manifest.unlink()
-    shutil.rmtree(layout.pairs)
-    traversal.depth("image_0", 300_000_000).unlink()
-    half = traversal.depth("image_0", 400_000_000)
-    half.write_bytes(half.read_bytes()[:-30])
-    (half.parent / ".400000000.dead.part.png").write_bytes(b"")
-    kept = traversal.depth("image_0", 200_000_000)
-    before = kept.stat().st_mtime_ns
-    assert build(recording, torn).fingerprint == fingerprint
-    assert kept.stat().st_mtime_ns == before
-    assert not list(torn.rglob(".*.part*"))
-
-
 def test_a_folder_with_something_else_is_left_alone(recording: Path, tmp_path: Path) -> None:
     out = tmp_path / "thesis"
     out.mkdir()
