@@ -9,8 +9,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from command_line import relocbench
 from kitti_wall import BASELINE, CALIBRATION, FOCAL, write_kitti_recording
-from refusals import ErrorData, Notes, noted, refused
+from refusals import ErrorData, Notes, assert_names, noted, refused
 
 from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
@@ -97,6 +98,9 @@ def test_the_recording_is_not_touched(recording: Path, tmp_path: Path) -> None:
 
     before = state()
     build(recording, tmp_path / "out")
+    told = relocbench("build-dataset", "kitti", recording, "--out", recording / "out")
+    assert told.status == 2
+    assert_names(told.complaint, recording / "out")
     assert state() == before
 
 
