@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
+import calibration as script
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,9 +14,6 @@ from repository import ROOT
 from baselines import calibration as kept
 from baselines.calibration import Calibration
 from baselines.learned_pnp import AlikedPnp
-
-sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
-import calibration as script
 
 
 def test_the_confidence_is_the_logistic_function_of_the_evidence() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import subprocess
 import sys
@@ -258,25 +257,6 @@ def test_a_bug_is_a_traceback(dataset: Dataset, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr("relocbench.evaluation.tracking.evaluate.evaluate_methods", broken)
     with pytest.raises(ZeroDivisionError):
         relocbench("evaluate", "-d", dataset.root, "-m", "identity")
-
-
-def test_an_interrupted_command_says_that_it_goes_on(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("relocbench.evaluation.tracking.evaluate.evaluate_methods", interrupted)
-    outcome = relocbench("evaluate", "-d", dataset.root, "-m", "identity")
-    assert outcome.status == 130
-
-
-def test_a_full_disk_is_one_line(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr("relocbench.evaluation.tracking.evaluate.evaluate_methods", full)
-    outcome = relocbench("evaluate", "-d", dataset.root, "-m", "identity")
-    assert outcome.status == 2
-    assert "No space left on device" in outcome.complaint, "as the system says it"
 
 
 def test_what_the_system_refuses_is_one_line_with_the_file(dataset: Dataset, tmp_path: Path) -> None:

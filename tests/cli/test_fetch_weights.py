@@ -224,11 +224,20 @@ def test_methods_without_weights_of_others_say_so() -> None:
     assert "no method 'orb-pmp'" in relocbench("fetch-weights", "orb-pmp").complaint
 
 
-def test_the_weights_of_aliked_are_shown_with_their_digest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("method", "model", "words"),
+    [
+        ("aliked-pnp", "t16", ("aliked-t16.pth (0.8 MB)", "BSD-3-Clause", "56782336919db220")),
+        ("netvlad", "mapillary_WPCA128", ("mapillary_WPCA128.pth.tar (67.3 MB)", "MIT", "5b6de8a5537061bb")),
+    ],
+)
+def test_weights_of_trackers_and_retrievers_are_shown_with_their_digest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str, model: str, words: tuple[str, ...]
+) -> None:
     pytest.importorskip("torch")
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     answering(monkeypatch, "")
-    told = relocbench("fetch-weights", "aliked-pnp", "--set", "model=t16")
+    told = relocbench("fetch-weights", method, "--set", f"model={model}")
     assert told.status == 2
-    for word in ("aliked-t16.pth (0.8 MB)", "BSD-3-Clause", "56782336919db220", f"{tmp_path}/hub/checkpoints"):
+    for word in (*words, f"{tmp_path}/hub/checkpoints"):
         assert word in told.out

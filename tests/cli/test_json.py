@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +13,8 @@ import numpy as np
 import pytest
 from command_line import Outcome, relocbench
 from made_pairs import SETTINGS
-from repository import DOCS, LIDAR
+from register_scenes import room_view
+from repository import DOCS
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 from small_views import make_small_views
 from submissions import salt_file, submit
@@ -24,9 +24,6 @@ from relocbench.cli.commands import demo as demo_module
 from relocbench.datasets import importers
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.weights import PublishedFile
-
-sys.path.insert(0, str(LIDAR))
-from register_scenes import room_view
 
 pytestmark = pytest.mark.usefixtures("workers_kept", "towns_kept")
 SPLITS = {"train": [ACROSS, WITHIN], "validation": [ACROSS]}

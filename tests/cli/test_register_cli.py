@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import relocbench
-from repository import LIDAR
+from register_scenes import Pair, room_pair
 
 from relocbench.geometry import invert, make_transform, so3_exp
-
-sys.path.insert(0, str(LIDAR))
-from register_scenes import Pair, room_pair
 
 FindData = Callable[[str], Path]
 

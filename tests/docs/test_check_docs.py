@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
-import pytest
-from repository import ROOT
-
-sys.path.insert(0, str(ROOT / "tools"))
 import check_docs as tool
+import pytest
 
 
 @pytest.mark.parametrize(

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import shutil
-import sys
 from argparse import Namespace
 from pathlib import Path
 
+import archives
+import edition_page
 import pandas as pd
 import pytest
 import recompute
+import tiers
 from command_line import relocbench
-from repository import ROOT
+from groups import METRICS, Group
 from small_dataset import ACROSS, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
@@ -20,12 +22,6 @@ from relocbench.datasets.importers.edition.dataset import recipe
 from relocbench.errors import RelocbenchError
 from relocbench.evaluation.common.results import MethodResults, write_record
 from relocbench.evaluation.tracking.score import predictions_hash
-
-sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
-import archives
-import edition_page
-import tiers
-from groups import METRICS, Group
 
 NAME = "2026.1-validation"
 

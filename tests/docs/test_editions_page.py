@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-
+import editions
 from repository import ROOT
 
 from relocbench.datasets.importers.edition.dataset import recipe
-
-sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
-import editions
 
 
 def test_the_page_has_what_is_printed_from_the_recipe() -> None:

@@ -10,12 +10,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import lpn_configurations as page
+import lpn_order as order
 import numpy as np
 import pytest
 import torch
 from made_places import NarrowResNet
 from refusals import refused
-from repository import ROOT
 from small_views import make_small_views
 
 from baselines.lpn.configurations import configuration
@@ -24,10 +25,6 @@ from baselines.lpn.weights import About, save_weights
 from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import PredictionError
 from relocbench.metrics import crossed_difference, mean_interval, paired_difference
-
-sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
-import lpn_configurations as page
-import lpn_order as order
 
 PLACES, DRONES, DISTRACTORS = 12, 2, 2
 D, S = page.DIRECTIONS

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import sys
-
-import pytest
-from repository import ROOT
-
-sys.path.insert(0, str(ROOT / "tools"))
 import messages as tool
+import pytest
 
 
 @pytest.mark.thorough

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import re
 import subprocess
-import sys
 
+import published
 import pytest
 from repository import ROOT
-
-sys.path.insert(0, str(ROOT / "tools"))
-import published
 
 
 def test_every_published_page_is_listed_with_what_decides_it() -> None:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import re
-import sys
 from pathlib import Path
 
-import pytest
-from repository import ROOT
-
-sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
 import archives
 import edition_page
+import pytest
+from repository import ROOT
 
 from relocbench.datasets.importers.edition.dataset import recipe
 

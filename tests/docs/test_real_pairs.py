@@ -10,11 +10,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import archives
 import cv2
+import generic_folder
+import homographies
 import numpy as np
 import numpy.typing as npt
 import pytest
 import recompute
+import shifted_images
+import shifts
+import stereo_pairs
+import still_camera
 from repository import ROOT
 
 from relocbench.arrays import Array, Image
@@ -25,16 +32,6 @@ from relocbench.errors import DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import make_transform, so3_exp
 from relocbench.progress import Silent
-
-sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
-sys.path.insert(0, str(ROOT / "tools" / "real_sets"))
-import archives
-import generic_folder
-import homographies
-import shifted_images
-import shifts
-import stereo_pairs
-import still_camera
 
 
 def noise(width: int, height: int, seed: int = 3) -> Image:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import cv2
+import generic_folder
+import kitti_lidar_poses
 import numpy as np
 import pandas as pd
 import pytest
+import real
+import still_camera
 from repository import ROOT
 
 from relocbench.arrays import Array
@@ -20,14 +23,6 @@ from relocbench.errors import DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import invert
 from relocbench.progress import Silent
-
-sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
-sys.path.insert(0, str(ROOT / "tools"))
-sys.path.insert(0, str(ROOT / "tools" / "real_sets"))
-import generic_folder
-import kitti_lidar_poses
-import real
-import still_camera
 
 RECORDINGS = Path(os.environ.get("RELOCBENCH_REAL_DATA", ROOT.parent / "shared" / "data"))
 

@@ -7,17 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from repository import ROOT
+import realism
+import realism_images
+import realism_measures as measures
 from scipy.linalg import sqrtm
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.images import write_image
 from relocbench.errors import DatasetError
-
-sys.path.insert(0, str(ROOT / "benchmarks" / "truth"))
-import realism
-import realism_images
-import realism_measures as measures
 
 
 def rows_with(mean: Array, covariance: Array, seed: int) -> Array:

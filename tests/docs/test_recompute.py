@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
+import archives
 import pytest
 import recompute
 from command_line import relocbench
 from published import PAGES
-from repository import ROOT
 from small_dataset import make_small_dataset
-
-sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
-import archives
 
 SMALL_DISTRICT = ("--steps", 3, "--size", "64x64", "--split", "validation", "-j", 1)
 

@@ -8,16 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import university_sample
 from made_places import picture
-from repository import ROOT
 
 from relocbench.datasets.core.images import as_rgb, read_image
 from relocbench.methods import RETRIEVERS, parse_method
 from relocbench.metrics import relevance_from_lists
 from relocbench.retrieval import ImageView, RetrievalTask
-
-sys.path.insert(0, str(ROOT / "benchmarks" / "truth"))
-import university_sample
 
 COUNT = 20
 

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import keyframe_start
 import numpy as np
 import pytest
-from repository import ROOT
-
-sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
-import keyframe_start
 import refined
 from answers import ANGLE_DEG, POSITION_M, Answer, Question, kept
 

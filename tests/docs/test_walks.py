@@ -9,14 +9,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import walks
 from made_places import picture
 from refusals import assert_names, refused
-from repository import ROOT
 
 from relocbench.errors import DatasetError
-
-sys.path.insert(0, str(ROOT / "benchmarks" / "truth"))
-import walks
 
 COUNT = 8
 

@@ -72,7 +72,7 @@ class LoudText(str):
     """A string that shows itself otherwise to JSON and to ``str``."""
 
     def __str__(self) -> str:
-        return "loud\n\x1b[31m\u2028words\x00"
+        return "loud\n\x1b[31m\u2028words\x00\udc80"
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,9 +153,13 @@ CASES = (
     Case("a complex pose", _says(T_query_ref=_moved(complex)), "error", "T_query_ref is an array of complex128"),
     Case("a pose of booleans", _says(T_query_ref=np.eye(4, dtype=bool)), "error", "T_query_ref is an array of bool"),
     Case("a pose that overflows", _says(T_query_ref=1e200 * (2 * np.eye(4) - 1)), "error", "not a rigid transform"),
+    Case("a pose of NaN", _says(T_query_ref=np.full((4, 4), np.nan)), "error", "not finite"),
+    Case("a pose of 3 x 3", _says(T_query_ref=np.eye(3)), "error", "(3, 3)"),
+    Case("a mirrored pose", _says(T_query_ref=np.diag([-1.0, 1.0, 1.0, 1.0])), "error", "not a rigid transform"),
     Case("a pose whose __array__ raises", _says(T_query_ref=Raising()), "error", "ZeroDivisionError: on purpose"),
     Case("a pose 1e300 m away", _says(T_query_ref=np.eye(4) + 1e300 * np.eye(4, k=3)), "ok"),
     Case("another type", lambda: np.eye(4), "error", "returned ndarray, expected TrackResult"),
+    Case("no result", lambda: None, "error", "returned NoneType, expected TrackResult"),
     Case("a result whose property raises", lambda: RaisingResult(np.eye(4)), "error", "LookupError: not known yet"),
     Case("a result that changes", lambda: ChangingResult(np.eye(4)), "ok"),
     Case("a huge confidence", _says(confidence=10**400), "error", "confidence is too large for a float"),
@@ -177,7 +181,7 @@ CASES = (
     Case("an info of objects", _says(info={"a": Raising(), (1, 2): {3}}), "ok", info=lambda i: i["(1, 2)"] == "{3}"),
     Case("a list as info", _says(info=[1, 2]), "ok", info=lambda i: i == {"info": "[1, 2]"}),
     Case("no info", _says(info=None), "ok", info=lambda i: i == {}),
-    Case("a subclass of str", _says(message=LoudText("x"), info={"a": LoudText("x")}), "ok", "loud ?[31m words?"),
+    Case("a subclass of str", _says(message=LoudText("x"), info={"a": LoudText("x")}), "ok", "loud ?[31m words??"),
     Case("a long message", _says(message="word " * 100_000), "ok", "word word"),
     Case("a message that raises", _says(message=Raising()), "ok", "whose __str__ raised ZeroDivisionError"),
     Case("a failure that claims to be ok", lambda: TrackResult.failure("dark", status="ok"), "failed", "dark"),

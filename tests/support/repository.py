@@ -5,6 +5,5 @@ from __future__ import annotations
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-TRUTH = ROOT / "benchmarks" / "truth"
 LIDAR = ROOT / "benchmarks" / "lidar"
 DOCS = ROOT / "docs"

@@ -1,69 +1,23 @@
-"""ALIKED with PnP: matching, files of weights that nobody trusts, coordinates, and poses by the authors' weights."""
+"""ALIKED with PnP: matching, and coordinates and poses by the authors' weights."""
 
 from __future__ import annotations
 
-import sys
-import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-import torch
 from command_line import relocbench
+from drawn_places import pattern
 from hypothesis import given
 from hypothesis import strategies as st
-from refusals import refused
-from safetensors.torch import save_file
 from small_dataset import ACROSS, make_small_dataset
 
-from baselines.learned_pnp import AlikedPnp
 from baselines.learned_pnp.kornia_networks import Aliked
 from baselines.learned_pnp.trackers import mutual_nearest
-from relocbench.arrays import Image
-from relocbench.errors import MethodError
 
-kornia_aliked = pytest.importorskip("kornia.feature", reason="the extra 'learned' is not installed")
-
-
-@pytest.fixture(scope="module")
-def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Weights of the smallest network that nobody trained."""
-    torch.manual_seed(0)
-    state = kornia_aliked.ALIKED("aliked-t16").state_dict()
-    path = tmp_path_factory.mktemp("weights") / "aliked-t16.pth"
-    torch.save({name: tensor for name, tensor in state.items() if name != "dkd.hw_grid"}, path)
-    return path
-
-
-def pattern(height: int, width: int, seed: int = 0) -> Image:
-    """Blocks of random colours, blurred."""
-    blocks = np.random.default_rng(seed).integers(0, 256, (height // 8 + 1, width // 8 + 1, 3), dtype=np.uint8)
-    whole = np.repeat(np.repeat(blocks, 8, axis=0), 8, axis=1)[:height, :width]
-    return np.asarray(cv2.GaussianBlur(whole, (0, 0), 1.0), dtype=np.uint8)
-
-
-@pytest.mark.thorough
-def test_remembered_features_are_those_that_the_network_finds(drawn: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    images = [pattern(96, 128, seed) for seed in (0, 1, 2)]
-    forgetful, detector = (Aliked(drawn, 200, 1280, "cpu", cache_size, model="t16") for cache_size in (0, 2))
-    passed: list[torch.Tensor] = []
-    find = detector.find
-
-    def counted(image: torch.Tensor) -> Any:
-        passed.append(image)
-        return find(image)
-
-    monkeypatch.setattr(detector, "find", counted)
-    for number, passes in [(0, 1), (0, 1), (1, 2), (0, 2), (2, 3), (0, 3), (1, 4)]:
-        found, expected = detector(images[number].copy()), forgetful(images[number])
-        assert len(passed) == passes, "the image used least lately is forgotten first"
-        np.testing.assert_array_equal(found.uv, expected.uv)
-        np.testing.assert_array_equal(found.descriptors, expected.descriptors)
-    detector(images[1].reshape(128, 96, 3))
-    assert len(passed) == 5, "the same bytes in another shape are another image"
+pytest.importorskip("kornia.feature", reason="the extra 'learned' is not installed")
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.integers(1, 12), st.sampled_from([1.0, 0.9, 0.6]))
@@ -85,78 +39,6 @@ def test_mutual_neighbours_are_those_of_the_definition(seed: int, n: int, m: int
 def test_there_are_no_matches_without_descriptors() -> None:
     some, none = np.eye(3, dtype=np.float32), np.zeros((0, 3), dtype=np.float32)
     assert [mutual_nearest(*pair).shape for pair in ((some, none), (none, some), (none, none))] == [(0, 2)] * 3
-
-
-def test_weights_are_read_from_both_kinds_of_file(drawn: Path, tmp_path: Path) -> None:
-    tensors = torch.load(drawn, weights_only=True)
-    save_file(tensors, tmp_path / "same.safetensors")
-    image = pattern(96, 128)
-    found = [Aliked(path, 200, 1280, "cpu", model="t16")(image) for path in (drawn, tmp_path / "same.safetensors")]
-    assert len(found[0]) > 0
-    np.testing.assert_array_equal(found[0].uv, found[1].uv)
-    np.testing.assert_array_equal(found[0].descriptors, found[1].descriptors)
-    assert np.all(np.diff(found[0].response) <= 0), "the strongest first"
-
-
-@pytest.mark.parametrize(
-    ("change", "names"),
-    [
-        (lambda t: t.pop("conv1.weight"), ("conv1.weight",)),
-        (lambda t: t.update(extra=torch.zeros(1)), ("extra",)),
-        (lambda t: t.update({"conv1.weight": torch.zeros(2, 2, 1, 1)}), ("conv1.weight", "(2, 2, 1, 1)")),
-        (lambda t: t["conv1.weight"].fill_(torch.nan), ("conv1.weight",)),
-        (lambda t: t.pop("block1.bn1.running_mean"), ("block1.bn1.running_mean",)),
-    ],
-)
-def test_weights_of_another_network_are_refused_by_name(
-    drawn: Path, tmp_path: Path, change: Callable[[dict[str, torch.Tensor]], Any], names: tuple[str, ...]
-) -> None:
-    tensors = torch.load(drawn, weights_only=True)
-    change(tensors)
-    torch.save(tensors, tmp_path / "other.pth")
-    with refused(MethodError, tmp_path / "other.pth", None, *names):
-        Aliked(tmp_path / "other.pth", 200, 1280, "cpu", model="t16")
-
-
-def test_files_that_are_no_weights_are_refused(drawn: Path, tmp_path: Path) -> None:
-    (tmp_path / "text.pth").write_text("hello")
-    torch.save([1, 2], tmp_path / "list.pth")
-    for name in ("none.pth", "text.pth", "list.pth"):
-        with refused(MethodError, tmp_path / name):
-            AlikedPnp(weights=tmp_path / name, model="t16")
-    with refused(MethodError, drawn):
-        AlikedPnp(weights=drawn, model="n16")
-
-
-def test_without_weights_one_line_says_which_file_goes_where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TORCH_HOME", str(tmp_path / "torch"))
-    dataset = make_small_dataset(tmp_path / "small", frames=3)
-    told = relocbench("evaluate", "-d", dataset.root, "-m", "baselines.learned_pnp:AlikedPnp", "-o", tmp_path / "out")
-    assert told.status == 2
-    assert f"{tmp_path / 'torch'}/hub/checkpoints/aliked-n16.pth: no weights here; put aliked-n16.pth" in told.complaint
-    assert "--set aliked-pnp.weights=FILE" in told.complaint
-
-
-def test_without_kornia_one_line_says_what_to_install(drawn: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in [name for name in sys.modules if name.partition(".")[0] == "kornia"]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "kornia", None)
-    with refused(MethodError, "", None, "ALIKED", "kornia", "pip install 'relocbench[learned]'"):
-        AlikedPnp(weights=drawn, model="t16")
-
-
-def test_grey_images_and_small_ones(drawn: Path) -> None:
-    detector = Aliked(drawn, 100, 1280, "cpu", model="t16")
-    image = pattern(96, 128)[..., 1]
-    of_grey, of_three = detector(image), detector(np.stack([image] * 3, axis=-1))
-    np.testing.assert_array_equal(of_grey.uv, of_three.uv)
-    np.testing.assert_array_equal(of_grey.uv, detector(image[..., None]).uv)
-    colour = pattern(96, 128)
-    colour.flags.writeable = False
-    with warnings.catch_warnings(action="error"):
-        assert len(detector(colour)) > 0, "evaluation hands over images that nobody can write to"
-    with refused(MethodError, "", None, 64, "128x63"):
-        detector(image[:63])
 
 
 @pytest.mark.thorough

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import relocbench
-from made_places import TINY, NarrowResNet, picture
+from made_places import TINY, picture
 from refusals import refused
 from small_dataset import ACROSS, make_small_dataset
 
@@ -28,14 +27,6 @@ from relocbench.progress import Silent
 SETTINGS = [f"--set={key}={value}" for key, value in TINY.items() if not isinstance(value, dict)]
 SETTINGS += [f"--set=network.{key}={value}" for key, value in TINY["network"].items()]
 SETTINGS += ["--set=epochs.all=2"]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def narrow() -> Iterator[None]:
-    """ResNet-18 with few channels and blocks."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("baselines.lpn.backbone.resnet18", NarrowResNet)
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,17 +30,9 @@ from relocbench.progress import Silent
 from relocbench.retrieval import PlaceData
 from relocbench.training import TrainingReport, TrainingRun
 
+pytestmark = pytest.mark.usefixtures("without_curves")
 VERSIONS = {"drone": 2, "satellite": 3}
 FROZEN = "branches.air.backbone.", ("conv1", "bn1", "layer1", "layer2", "layer3")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def narrow() -> Iterator[None]:
-    """ResNet-18 with few channels and blocks."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("baselines.lpn.backbone.resnet18", NarrowResNet)
-        patch.setattr("baselines.lpn.training.loop.draw_curves", lambda *_: None)
-        yield
 
 
 @pytest.fixture(scope="module")

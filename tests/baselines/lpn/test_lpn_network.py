@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import pickle
-from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import cast
@@ -38,14 +37,6 @@ from relocbench.errors import ConfigError, MethodError
 
 SMALL = NetworkOptions(backbone="resnet18", parts=2, width=8)
 """2 rings of a 4 x 4 map at 64 pixels"""
-
-
-@pytest.fixture(scope="module", autouse=True)
-def narrow() -> Iterator[None]:
-    """ResNet-18 with few channels and blocks, but where a test takes the whole one."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("baselines.lpn.backbone.resnet18", NarrowResNet)
-        yield
 
 
 def generator(seed: int = 0) -> torch.Generator:

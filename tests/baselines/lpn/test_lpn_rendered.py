@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_places import TINY, NarrowResNet
+from made_places import TINY
 
 from baselines.lpn.configurations import CONFIGURATIONS, FROM_ABOVE
 from baselines.lpn.retriever import Lpn
@@ -41,12 +41,9 @@ def test_a_rendered_set_is_learnt_from_by_its_folder(rendered: CrossViewSet) -> 
 
 
 @pytest.mark.thorough
+@pytest.mark.usefixtures("without_curves")
 @pytest.mark.parametrize("name", FROM_ABOVE)
-def test_each_configuration_trains_and_is_evaluated(
-    name: str, rendered: CrossViewSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("baselines.lpn.backbone.resnet18", NarrowResNet)
-    monkeypatch.setattr("baselines.lpn.training.loop.draw_curves", lambda *_: None)  # takes longer than the training
+def test_each_configuration_trains_and_is_evaluated(name: str, rendered: CrossViewSet, tmp_path: Path) -> None:
     stages = CONFIGURATIONS[name].stages
     options = {**TINY, "configuration": name, "epochs": {stage.name: 1 for stage in stages}}
     run = TrainingRun(tmp_path / "trained", "lpn", "relocbench train lpn", workers=0)

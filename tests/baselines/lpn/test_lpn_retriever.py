@@ -6,15 +6,13 @@ import json
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pytest
 import torch
 from made_places import picture
 from refusals import refused
 from safetensors.torch import save_file
-from small_lpn import ABOUT, NARROW, drawn_weights
+from small_lpn import ABOUT, NARROW
 
 from baselines.lpn.descriptor import parts_of
 from baselines.lpn.dmli import aligned_distance
@@ -25,13 +23,6 @@ from baselines.lpn.weights import load_weights, save_weights
 from relocbench.arrays import Image
 from relocbench.errors import ConfigError, MethodError
 from relocbench.retrieval import ImageView, RerankingRetriever, Retriever
-
-
-@pytest.fixture(scope="module")
-def weights(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """The drawn weights of a small LPN."""
-    with drawn_weights(tmp_path_factory.mktemp("weights")) as path:
-        yield path
 
 
 def views(count: int = 5, view: str = "drone", side: int = 64) -> list[ImageView]:

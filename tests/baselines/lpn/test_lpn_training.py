@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import pickle
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -33,20 +33,6 @@ from relocbench.retrieval import PlaceData, PlaceImage
 from relocbench.training import ConfiguredTrainer, PlaceTrainer, Trainer, TrainingReport, TrainingRun, ValidationScores
 
 CUT_SHORT = "the power went"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def narrow() -> Iterator[None]:
-    """ResNet-18 with few channels and blocks; the network's own tests have the whole of it."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("baselines.lpn.backbone.resnet18", NarrowResNet)
-        yield
-
-
-@pytest.fixture
-def without_curves(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pictures take longer than these trainings."""
-    monkeypatch.setattr("baselines.lpn.training.loop.draw_curves", lambda *_: None)
 
 
 def epochs(name: str, each: int = 1) -> dict[str, int]:

@@ -11,20 +11,12 @@ import numpy as np
 import pytest
 from made_places import picture
 from refusals import refused
-from small_lpn import drawn_weights
 
 from baselines.lpn.retriever import Lpn
 from baselines.lpn.view_means import MOST_IMAGES, ViewMeans, unlabelled_files, unlabelled_images
 from relocbench.arrays import Image
 from relocbench.errors import MethodError
 from relocbench.retrieval import ImageView
-
-
-@pytest.fixture(scope="module")
-def weights(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """The drawn weights of a small LPN."""
-    with drawn_weights(tmp_path_factory.mktemp("weights")) as path:
-        yield path
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -147,16 +146,6 @@ def test_weights_that_nobody_publishes_are_named_with_those_that_are() -> None:
         CosPlace.published(backbone="VGG16")
     assert set(published.NETVLAD) == set(get_args(published.NetVladModel))
     assert all(len(file.sha256 or "") == 64 for file in published.NETVLAD.values())
-
-
-def test_fetching_shows_source_and_licence_and_asks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
-    monkeypatch.setattr("sys.stdin", io.StringIO(""))
-    told = relocbench("fetch-weights", "baselines.place_networks:NetVlad", "--set", "model=mapillary_WPCA128")
-    assert told.status == 2
-    for words in ("mapillary_WPCA128.pth.tar (67.3 MB)", "MIT", "5b6de8a5537061bb", f"{tmp_path}/hub/checkpoints"):
-        assert words in told.out
-    assert not (tmp_path / "hub").exists()
 
 
 @pytest.mark.thorough

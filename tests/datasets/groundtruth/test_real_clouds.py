@@ -16,6 +16,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from limits import Limits
+from real_clouds_methods import Candidate, adjusted, allowed, apart, best, methods, turned_identities
+from real_clouds_scans import SOURCES, Scans, Source, read_scans, submap
 from refusals import refused
 from repository import LIDAR
 
@@ -25,11 +28,6 @@ from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.verification.verification import verdict, verification_evidence
 from relocbench.errors import DatasetError
 from relocbench.geometry import apply, invert, make_transform, rotation_angle, se3_exp, so3_exp
-
-sys.path.insert(0, str(LIDAR))
-from limits import Limits
-from real_clouds_methods import Candidate, adjusted, allowed, apart, best, methods, turned_identities
-from real_clouds_scans import SOURCES, Scans, Source, read_scans, submap
 
 
 def room(count: int, seed: int) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from refusals import refused
-from repository import LIDAR
+from register_scenes import Pair, depth_pair, room_pair, unrelated_depth
 
 from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.clouds.alternatives import shifts_as_close
@@ -31,9 +30,6 @@ from relocbench.datasets.groundtruth.submaps.free_space import make_patches
 from relocbench.datasets.groundtruth.verification.evidence import Evidence
 from relocbench.errors import DatasetError
 from relocbench.geometry import apply, invert, make_transform, se3_exp, se3_log, so3_exp
-
-sys.path.insert(0, str(LIDAR))
-from register_scenes import Pair, depth_pair, room_pair, unrelated_depth
 
 NAN = float("nan")
 GOOD = Evidence(0.95, 0.95, 0.01, 0.01, NAN, NAN, 0.01, (1.0, 0.0, 0.0), 0.01, 0.9, 0.9, 0.9, 0.9)

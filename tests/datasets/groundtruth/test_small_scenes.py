@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from hypothesis import strategies as st
 from lidar_street import Street, drive_street
 from recorded_street import StreetDrive, record_street
 from refusals import Notes
-from repository import LIDAR
+from small_scenes import Walk, record
 
 from relocbench.arrays import Array, Floats
 from relocbench.datasets.core.build import Build
@@ -34,9 +33,6 @@ from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, 
 from relocbench.execution import Run
 from relocbench.geometry import invert, make_transform, rotation_angle, se3_exp, se3_log, so3_exp, transform_to_tq
 from relocbench.progress import Silent
-
-sys.path.insert(0, str(LIDAR))
-from small_scenes import Walk, record
 
 EIGHTH = 1 / 8
 

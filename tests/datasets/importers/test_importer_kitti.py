@@ -9,8 +9,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from command_line import relocbench
 from kitti_wall import BASELINE, CALIBRATION, FOCAL, write_kitti_recording
-from refusals import ErrorData, Notes, noted, refused
+from refusals import ErrorData, Notes, assert_names, noted, refused
 
 from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
@@ -82,27 +83,6 @@ def test_workers_do_not_change_the_bytes(recording: Path, tmp_path: Path) -> Non
     assert build(recording, tmp_path / "a").fingerprint == build(recording, tmp_path / "b", workers=2).fingerprint
 
 
-@pytest.mark.thorough
-def test_a_build_that_was_interrupted_ends_with_the_same_bytes(recording: Path, tmp_path: Path) -> None:
-    whole, torn = tmp_path / "whole", tmp_path / "torn"
-    fingerprint = build(recording, whole).fingerprint
-    build(recording, torn)
-    layout = Dataset(torn).layout
-    traversal = layout.traversal("kitti_03")
-    layout.dataset_yaml.unlink()
-    layout.manifest.unlink()
-    shutil.rmtree(layout.pairs)
-    traversal.depth("image_0", 300_000_000).unlink()
-    half = traversal.depth("image_0", 400_000_000)
-    half.write_bytes(half.read_bytes()[:-30])
-    (half.parent / ".400000000.dead.part.png").write_bytes(b"")
-    kept = traversal.depth("image_0", 200_000_000)
-    before = kept.stat().st_mtime_ns
-    assert build(recording, torn).fingerprint == fingerprint
-    assert kept.stat().st_mtime_ns == before
-    assert not list(torn.rglob(".*.part*"))
-
-
 def test_a_folder_with_something_else_is_left_alone(recording: Path, tmp_path: Path) -> None:
     out = tmp_path / "thesis"
     out.mkdir()
@@ -118,6 +98,9 @@ def test_the_recording_is_not_touched(recording: Path, tmp_path: Path) -> None:
 
     before = state()
     build(recording, tmp_path / "out")
+    told = relocbench("build-dataset", "kitti", recording, "--out", recording / "out")
+    assert told.status == 2
+    assert_names(told.complaint, recording / "out")
     assert state() == before
 
 

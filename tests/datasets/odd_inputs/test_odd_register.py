@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from odd_inputs import odd_input
 from refusals import assert_names
-from repository import LIDAR
+from register_scenes import room_pair
+from register_shapes import shape_pair
 
 from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.clouds.cloud import Cloud, cloud_of_file
@@ -23,10 +22,6 @@ from relocbench.datasets.groundtruth.registration.scene_scale import SceneScale
 from relocbench.datasets.groundtruth.verification.evidence import Evidence
 from relocbench.datasets.sensors.cloud_files import read_cloud
 from relocbench.geometry import apply, make_transform, so3_exp
-
-sys.path.insert(0, str(LIDAR))
-from register_scenes import room_pair
-from register_shapes import shape_pair
 
 NOISE = 0.05
 """standard deviation of the normals, radians"""

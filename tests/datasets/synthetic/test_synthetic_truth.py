@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from repository import TRUTH
+from realistic_change import PATCHES, TRACKED, Apart, Frames, matches, patch_correlations
+from synthetic_truth import Eye, Scenes, Tally, check, check_depth, report
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.rendered import dataset as synthetic
@@ -21,10 +21,6 @@ from relocbench.datasets.synthetic.town.mesh import Mesh
 from relocbench.execution import Run
 from relocbench.geometry import Camera
 from relocbench.progress import Silent
-
-sys.path.insert(0, str(TRUTH))
-from realistic_change import PATCHES, TRACKED, Apart, Frames, matches, patch_correlations
-from synthetic_truth import Eye, Scenes, Tally, check, check_depth, report
 
 CAMERA = Camera("pinhole", 40, 32, 30.0, 30.0, 19.5, 15.5)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import pytest
 import yaml
 from command_line import relocbench
 from refusals import assert_names
-from repository import TRUTH
+from synthetic_truth import check, report
 
 from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
@@ -34,9 +33,6 @@ from relocbench.datasets.synthetic.renderer.samples import View, ray
 from relocbench.execution import Run
 from relocbench.geometry import Camera, apply, invert
 from relocbench.progress import Silent
-
-sys.path.insert(0, str(TRUTH))
-from synthetic_truth import check, report
 
 pytestmark = pytest.mark.usefixtures("renderer_kept")
 TINY: dict[str, Any] = {

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from command_line import relocbench
-from refusals import refused
+from refusals import Notes, refused
 from small_dataset import ACROSS, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
@@ -24,16 +24,6 @@ UNMADE = "trackers_for_tests:Unmade"
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return make_small_dataset(tmp_path_factory.mktemp("data") / "small", size=(64, 48))
-
-
-class Notes(Silent):
-    """Keeps what is noted."""
-
-    def __init__(self) -> None:
-        self.notes: list[str] = []
-
-    def note(self, message: str) -> None:
-        self.notes.append(message)
 
 
 def options(dataset: Dataset, out: Path, *methods: str, **more: object) -> dict[str, object]:

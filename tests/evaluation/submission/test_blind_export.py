@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from command_line import relocbench
 from forgery import change_yaml
-from refusals import assert_names, refused
+from refusals import Notes, assert_names, refused
 from small_dataset import ACROSS, make_small_dataset
 from submissions import SALT_TEXT, blind_export, salt, salt_file, submit
 
@@ -174,13 +174,6 @@ def test_a_seed_becomes_another_by_salt_split_and_seed_and_is_named_as_before() 
 
 
 def test_who_else_can_read_the_salt_is_told(tmp_path: Path) -> None:
-    class Notes(Silent):
-        def __init__(self) -> None:
-            self.notes: list[str] = []
-
-        def note(self, message: str) -> None:
-            self.notes.append(message)
-
     told = Notes()
     path = salt_file(tmp_path)
     read_salt(path, [], told)

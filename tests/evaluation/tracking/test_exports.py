@@ -7,15 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dataset_by_hand import make_dataset_by_hand
 from evo.tools import file_interface
 from refusals import refused
 from small_dataset import ACROSS, CAMERA, WITHIN, make_small_dataset
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.core.pairfile import Pair, PoseLine, read_pose_lines, write_pose_lines
-from relocbench.datasets.core.schema import CameraEntry, TraversalFile
-from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.datasets.core.pairfile import PoseLine, read_pose_lines, write_pose_lines
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import DatasetResults
 from relocbench.evaluation.tracking.absolute_poses import query_poses
@@ -95,20 +94,7 @@ def test_evo_reads_the_kitti_file_back_and_its_times_lie_beside_it(dataset: Data
 
 @pytest.fixture
 def by_hand(tmp_path: Path) -> Dataset:
-    """One keyframe at (1, 2, 3) looking along the world's x axis; one query a metre further along x."""
-    looking_along_x = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-    camera = Camera("pinhole", 8, 6, 10.0, 11.0, 3.5, 2.5)
-    writer = DatasetWriter(tmp_path / "hand", "hand", {"kind": "hand"})
-    for name, position in (("map", [1.0, 2.0, 3.0]), ("drive", [2.0, 2.0, 3.0])):
-        file = TraversalFile(name=name, cameras={CAMERA: CameraEntry.of(camera)})
-        writer.traversal(file, {5: make_transform(looking_along_x, position)})
-        writer.image(name, CAMERA, 5, np.zeros((6, 8), np.uint8))
-    points = writer.layout.traversal("map").points(CAMERA, 5)
-    points.parent.mkdir(parents=True)
-    points.write_text("u,v,inverse_depth,sigma\n3.5,2.5,0.5,0.0\n5.5,2.5,0.25,0.0\n")
-    T_query_ref = make_transform(np.eye(3), [0.0, 0.0, -1.0])
-    writer.pairs("map", "drive", CAMERA, [Pair(5, 5, T_query_ref)])
-    return writer.finish({})
+    return make_dataset_by_hand(tmp_path / "hand")
 
 
 def test_colmap_model_has_the_numbers_worked_out_by_hand(by_hand: Dataset, tmp_path: Path) -> None:

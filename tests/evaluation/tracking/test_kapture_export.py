@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from dataset_by_hand import make_dataset_by_hand
 from small_dataset import ACROSS, CAMERA, WITHIN, make_small_dataset
 
 from relocbench.arrays import Array
@@ -37,18 +38,7 @@ def disturbed(lines: list[PoseLine]) -> list[PoseLine]:
 
 def test_the_tables_have_the_numbers_worked_out_by_hand(tmp_path: Path) -> None:
     """As in the test of the COLMAP model: at (1, 2, 3), looking along the world's x axis, t = -R c = (2, 3, -1)."""
-    looking_along_x = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-    camera = Camera("pinhole", 8, 6, 10.0, 11.0, 3.5, 2.5)
-    writer = DatasetWriter(tmp_path / "hand", "hand", {"kind": "hand"})
-    for name, position in (("map", [1.0, 2.0, 3.0]), ("drive", [2.0, 2.0, 3.0])):
-        file = TraversalFile(name=name, cameras={CAMERA: CameraEntry.of(camera)})
-        writer.traversal(file, {5: make_transform(looking_along_x, position)})
-        writer.image(name, CAMERA, 5, np.zeros((6, 8), np.uint8))
-    points = writer.layout.traversal("map").points(CAMERA, 5)
-    points.parent.mkdir(parents=True)
-    points.write_text("u,v,inverse_depth,sigma\n3.5,2.5,0.5,0.0\n")
-    writer.pairs("map", "drive", CAMERA, [Pair(5, 5, make_transform(np.eye(3), [0.0, 0.0, -1.0]))])
-    dataset = writer.finish({})
+    dataset = make_dataset_by_hand(tmp_path / "hand")
     (name,) = dataset.pair_set_names
     out = tmp_path / "out"
     assert export_kapture(dataset, name, truth_lines(dataset, name), out, Silent()) == 1

@@ -18,6 +18,7 @@ from retrievers_for_tests import Thumbnail
 from small_dataset import ACROSS, STEP_NS, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pairfile import read_pose_lines
 from relocbench.errors import PredictionError, one_line
 from relocbench.evaluation.isolation.answers import ask, checked_answer, checked_pixels
 from relocbench.evaluation.isolation.guard import batch_of, guarded, neighbours_of
@@ -84,6 +85,8 @@ def test_methods_after_a_misbehaving_one_are_asked_and_all_is_scored_and_ranked(
     dataset: Dataset, report: Report
 ) -> None:
     bad, good = report.folders
+    answered = {answer.key for answer in read_answers(bad.answers(ACROSS)).values() if answer.status == "ok"}
+    assert {line.key for line in read_pose_lines(bad.predictions(ACROSS))} == answered
     pairs = [pair.key for pair in dataset.pair_set(ACROSS).pairs]
     assert [row.status for row in read_errors(good.errors(ACROSS))] == ["ok"] * len(pairs)
     assert [row.key for row in read_errors(bad.errors(ACROSS))] == pairs
