@@ -10,16 +10,9 @@ import torch
 from torch import Tensor
 
 from baselines.gn_net.losses.ascent import AscentOptions, ascent_terms
-from baselines.gn_net.losses.contrastive import ContrastiveOptions, negative_terms, positive_terms
+from baselines.gn_net.losses.contrastive import ContrastiveOptions, negative_terms
 from baselines.gn_net.losses.descent import DescentOptions, descent_terms
-from baselines.gn_net.losses.gauss_newton import (
-    GaussNewtonOptions,
-    GaussNewtonTerms,
-    draw_starts,
-    gauss_newton_terms,
-)
-from baselines.gn_net.losses.gauss_newton_affine import affine_gauss_newton_terms
-from baselines.gn_net.losses.gauss_newton_integrated import integrated_gauss_newton_terms
+from baselines.gn_net.losses.gauss_newton import GaussNewtonOptions, draw_starts, gauss_newton_terms
 from baselines.gn_net.losses.infonce import InfoNceOptions, infonce_terms
 from baselines.gn_net.losses.negatives import hard_negatives, random_negatives
 from baselines.gn_net.losses.pose import PoseOptions, SeenPoints, draw_start_poses, pose_terms
@@ -188,7 +181,8 @@ def _level_loss(one: _Level, options: LossOptions, generator: torch.Generator) -
         total = total + options.infonce.weight * infonce
         parts.update(infonce=infonce, found=masked_mean(found.double(), asked))
     if options.gauss_newton.weight > 0:
-        terms = _gauss_newton(one, f_ref, options.gauss_newton, generator)
+        start = draw_starts(one.u_query, options.gauss_newton.vicinity, generator)
+        terms = gauss_newton_terms(one.features_query, f_ref, one.u_query, start, options.gauss_newton.eps)
         valid = counted & terms.valid
         e1, e2 = masked_mean(terms.e1, valid), masked_mean(terms.e2, valid)
         total = total + options.gauss_newton.weight * (options.gauss_newton.e1 * e1 + options.gauss_newton.e2 * e2)
@@ -215,7 +209,7 @@ def _contrastive(
 ) -> tuple[Tensor, Tensor]:
     """The means over positives and over negatives."""
     f_query, on_query = sample(one.features_query, one.u_query)
-    positive = masked_mean(positive_terms(f_ref, f_query, options.form, options.positive_margin), counted & on_query)
+    positive = masked_mean(((f_ref - f_query) ** 2).sum(-1), counted & on_query)
     wrong: list[tuple[Tensor, Tensor]] = []
     if options.negatives in ("random", "both"):
         height, width = one.features_query.shape[-2:]
@@ -246,17 +240,6 @@ def _infonce(one: _Level, f_ref: Tensor, counted: Tensor, options: InfoNceOption
         options.away,
     )
     return cost, found, asked
-
-
-def _gauss_newton(
-    one: _Level, f_ref: Tensor, options: GaussNewtonOptions, generator: torch.Generator
-) -> GaussNewtonTerms:
-    features, u, eps = one.features_query, one.u_query, options.eps
-    if options.start == "integrated":
-        return integrated_gauss_newton_terms(features, f_ref, u, options.vicinity, eps, options.nodes)
-    if options.start == "affine":
-        return affine_gauss_newton_terms(features, f_ref, u, options.vicinity, eps)
-    return gauss_newton_terms(features, f_ref, u, draw_starts(u, options.vicinity, generator), eps)
 
 
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
