@@ -13,13 +13,12 @@ from baselines.gn_net.losses.ascent import AscentOptions, ascent_terms
 from baselines.gn_net.losses.contrastive import ContrastiveOptions, negative_terms
 from baselines.gn_net.losses.descent import DescentOptions, descent_terms
 from baselines.gn_net.losses.gauss_newton import GaussNewtonOptions, draw_starts, gauss_newton_terms
-from baselines.gn_net.losses.infonce import InfoNceOptions, infonce_terms
 from baselines.gn_net.losses.negatives import hard_negatives, random_negatives
 from baselines.gn_net.losses.pose import PoseOptions, SeenPoints, draw_start_poses, pose_terms
 from baselines.gn_net.sampling import level_coordinates, sample
 from baselines.options import OptionError, Options, require
 
-_LOSSES = ("contrastive", "infonce", "gauss_newton", "descent", "ascent", "pose")
+_LOSSES = ("contrastive", "gauss_newton", "descent", "ascent", "pose")
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,6 @@ class LossOptions(Options):
     pose: PoseOptions = field(default_factory=PoseOptions)
     level_weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
     """one weight for each level of the network, finest first"""
-    infonce: InfoNceOptions = field(default_factory=InfoNceOptions)
 
     def __post_init__(self) -> None:
         require(
@@ -59,8 +57,8 @@ class LossValue(NamedTuple):
     """scalar"""
     parts: dict[str, Tensor]
     """scalars without derivatives and before weighting, by ``level/part``: ``positive``, ``negative``, ``e1``, ``e2``,
-    ``near_singular`` (share of points), ``infonce``, ``found`` (share of points), ``descent``, ``nearer`` (share of
-    points), ``ascent``, ``higher`` (share of positions), ``points`` (number that counted)"""
+    ``near_singular`` (share of points), ``descent``, ``nearer`` (share of points), ``ascent``, ``higher`` (share of
+    positions), ``points`` (number that counted)"""
 
 
 def total_loss(
@@ -175,11 +173,6 @@ def _level_loss(one: _Level, options: LossOptions, generator: torch.Generator) -
         positive, negative = _contrastive(one, f_ref, counted, options.contrastive, generator)
         total = total + options.contrastive.weight * (positive + options.contrastive.negative_weight * negative)
         parts.update(positive=positive, negative=negative)
-    if options.infonce.weight > 0:
-        cost, found, asked = _infonce(one, f_ref, counted, options.infonce)
-        infonce = masked_mean(cost, asked)
-        total = total + options.infonce.weight * infonce
-        parts.update(infonce=infonce, found=masked_mean(found.double(), asked))
     if options.gauss_newton.weight > 0:
         start = draw_starts(one.u_query, options.gauss_newton.vicinity, generator)
         terms = gauss_newton_terms(one.features_query, f_ref, one.u_query, start, options.gauss_newton.eps)
@@ -223,23 +216,6 @@ def _contrastive(
         f_wrong, _ = sample(one.features_query, u_wrong)
         means.append(masked_mean(negative_terms(f_ref, f_wrong, options.form, options.margin), counted & found))
     return positive, torch.stack(means).mean()
-
-
-def _infonce(one: _Level, f_ref: Tensor, counted: Tensor, options: InfoNceOptions) -> tuple[Tensor, Tensor, Tensor]:
-    """The cost of each point, which points are found, and which take part."""
-    n = options.points
-    f_query, on_query = sample(one.features_query, one.u_query[..., :n, :])
-    asked = counted[..., :n] & on_query
-    cost, found = infonce_terms(
-        f_ref[..., :n, :],
-        f_query,
-        one.u_ref[..., :n, :],
-        one.u_query[..., :n, :],
-        asked,
-        options.temperature,
-        options.away,
-    )
-    return cost, found, asked
 
 
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:

@@ -17,7 +17,6 @@ from baselines.gn_net.losses.ascent import AscentOptions, ascent_terms
 from baselines.gn_net.losses.contrastive import ContrastiveOptions, negative_terms
 from baselines.gn_net.losses.descent import DescentOptions, descent_terms
 from baselines.gn_net.losses.gauss_newton import GaussNewtonOptions, draw_starts, gauss_newton_terms
-from baselines.gn_net.losses.infonce import InfoNceOptions, infonce_terms
 from baselines.gn_net.losses.negatives import hard_negatives, random_negatives
 from baselines.gn_net.losses.symmetric import Symmetric, normal_equations
 from baselines.gn_net.losses.total import LossOptions, LossValue, masked_mean, total_loss
@@ -52,48 +51,6 @@ def smooth_map(dim: int = 4, size: int = 16, seed: int = 3) -> Tensor:
 
 def at(*places: tuple[float, float]) -> Tensor:
     return torch.tensor(places, dtype=torch.float64)
-
-
-# InfoNCE
-
-
-def test_infonce_by_hand() -> None:
-    """Two points with features 0 and 1 in the reference, 0 and 2 in the query, tau = 2."""
-    f_ref, f_query = at((0.0, 0.0), (1.0, 0.0)), at((0.0, 0.0), (2.0, 0.0))
-    u = at((1.0, 1.0), (9.0, 9.0))
-    both = torch.ones(2, dtype=torch.bool)
-    cost, found = infonce_terms(f_ref, f_query, u, u, both, temperature=2.0, away=3.0)
-    # Squared distances [[0, 4], [1, 1]]: rows ask the query, columns the reference.
-    first = 0.5 * (math.log(1 + math.exp(-2)) + math.log(1 + math.exp(-0.5)))
-    second = 0.5 * (math.log(2) + math.log(1 + math.exp(-2 + 0.5)))
-    assert cost.tolist() == pytest.approx([first, second])
-    assert found.tolist() == [True, False]  # the second is as near to the first's feature as to its own
-
-
-def test_infonce_leaves_out_what_is_near_or_does_not_count() -> None:
-    f, g = noise(4, 3), noise(4, 3, seed=1)
-    u = at((1.0, 1.0), (2.0, 1.0), (20.0, 1.0), (1.0, 20.0))
-    counted = torch.tensor([True, True, True, False])
-    cost, _ = infonce_terms(f, g, u, u, counted, temperature=0.5, away=3.0)
-    alone = torch.tensor([0, 2])  # the first point's neighbour is too near to be wrong, the fourth does not count
-    two, _ = infonce_terms(f[alone], g[alone], u[alone], u[alone], counted[alone], temperature=0.5, away=3.0)
-    assert cost[0].item() == pytest.approx(two[0].item())
-    single, found = infonce_terms(f[:1], g[:1], u[:1], u[:1], counted[:1], temperature=0.5, away=3.0)
-    assert single.item() == pytest.approx(0.0)
-    assert found.all()
-
-
-def test_infonce_against_finite_differences() -> None:
-    f, g, u = (noise(2, 5, 3, seed=seed).requires_grad_() for seed in range(3))
-    mask = torch.rand((2, 5), generator=generator()) < 0.8
-    spread = 30 * u.detach()
-    assert torch.autograd.gradcheck(lambda a, b: infonce_terms(a, b, spread, spread, mask, 0.7, 2.0)[0], (f, g))
-
-
-@pytest.mark.parametrize("changed", [{"temperature": 0.0}, {"weight": -1.0}, {"points": 1}])
-def test_infonce_options_that_make_no_sense_are_refused(changed: dict[str, float]) -> None:
-    with refused(ConfigError, "", None, next(iter(changed))):
-        InfoNceOptions(**changed)  # type: ignore[arg-type]
 
 
 # Contrastive
