@@ -15,7 +15,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from baselines.options import Options, above_0, at_least, one_of
+from baselines.options import Options, above_0, at_least
 
 Form = Literal["distance", "squared"]
 
@@ -40,8 +40,6 @@ class ContrastiveOptions(Options):
     """number of pixels drawn in each image, of which the hardest negative of each point is chosen"""
 
     def __post_init__(self) -> None:
-        one_of(self, "form", "distance", "squared")
-        one_of(self, "negatives", "random", "hard", "both")
         at_least(self, 0, "weight negative_weight away")
         at_least(self, 1, "candidates")
         above_0(self, "margin")

@@ -426,8 +426,6 @@ def test_levels_must_agree() -> None:
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"contrastive": {"form": "cubic"}}, "form"),
-        ({"contrastive": {"negatives": "easy"}}, "negatives"),
         ({"contrastive": {"margin": 0}}, "margin"),
         ({"contrastive": {"away": -1}}, "away"),
         ({"gauss_newton": {"eps": 0}}, "eps"),
@@ -442,7 +440,6 @@ def test_levels_must_agree() -> None:
         ),
         ({"ascent": {"margin": 0}}, "margin"),
         ({"pose": {"reach": -1}}, "reach"),
-        ({"poses": {}}, "poses"),
     ],
 )
 def test_options_that_make_no_sense_are_named(values: dict[str, object], said: str) -> None:
