@@ -79,12 +79,6 @@ def valid_shares(options: Any) -> None:
     )
 
 
-def one_of(options: object, name: str, *choices: object) -> None:
-    """Raise OptionError unless the option has one of the values."""
-    words = [str(choice) for choice in choices]
-    require(options, name, lambda value: value in choices, f"{', '.join(words[:-1])} or {words[-1]}")
-
-
 def options_from_dict(kind: type[Kind], values: Mapping[str, Any]) -> Kind:
     """An instance of the dataclass ``kind`` from plain values; absent ones have their defaults.
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
-from baselines.options import Options, one_of, require
+from baselines.options import Options, require
 
 EncoderName = Literal["plain", "efficientnet-lite0"]
 
@@ -53,13 +53,10 @@ class NetworkOptions(Options):
         require(self, "dim", lambda dim: dim >= 2, "2 or more: one channel cannot place a pixel both ways")
         most = len(self.widths)
         require(self, "levels", lambda levels: 1 <= levels <= most, f"1 to {most}, the number of widths")
-        one_of(self, "norm", "batch", "none")
-        one_of(self, "encoder", *get_args(EncoderName))
         if self.encoder == "efficientnet-lite0":
             require(self, "finest", lambda finest: finest == 1, "1 with this encoder")
             require(self, "norm", lambda norm: norm == "batch", "batch with this encoder")
             require(self, "widths", lambda widths: len(widths) <= len(LAST_STAGES), f"at most {len(LAST_STAGES)}")
-        one_of(self, "normalise", "none", "unit")
 
     @property
     def least_parameters(self) -> int:

@@ -66,7 +66,8 @@ def sample_with_gradient(features: Tensor, u: Tensor) -> SampledWithGradient:
     Raises:
         ValueError: the map is smaller than 4 x 4.
     """
-    _require_room(features)
+    if min(features.shape[-2:]) < _SMALLEST_MAP:
+        raise ValueError(f"derivatives need maps of 4 x 4 pixels or more, got {tuple(features.shape[-2:])}")
     corner, fraction, valid = _locate(features, u, margin=1)
     taps = _gather(features, corner - 1, size=4)  # (..., N, 4 rows, 4 columns, D)
     a, b = fraction[..., 0, None, None], fraction[..., 1, None]
@@ -75,60 +76,6 @@ def sample_with_gradient(features: Tensor, u: Tensor) -> SampledWithGradient:
     values = _between(rows, b)
     jacobian = torch.stack([_between(across, b), _difference(rows, b)], dim=-1)
     return SampledWithGradient(values, jacobian, valid)
-
-
-def sample_grid_with_gradient(features: Tensor, along_u: Tensor, along_v: Tensor, span: float) -> SampledWithGradient:
-    """As :func:`sample_with_gradient`, at a grid of positions for each point; shared pixels are read once.
-
-    With the hat function, F(u, v) = sum_k sum_l hat(u - k) hat(v - l) F[l, k], so that the values at a grid are a
-    product of small matrices.
-
-    Args:
-        features: (..., D, H, W), at least 4 x 4; half precision becomes single precision after the look-up.
-        along_u, along_v: (..., N, M) pixels of this map, ascending; position (j, i) is (along_u[i], along_v[j]).
-        span: pixels; the largest distance from the first to the last position of a point, in either direction.
-
-    Returns:
-        Values (..., N, M, M, D), derivatives (..., N, M, M, D, 2), valid (..., N, M, M).
-
-    Raises:
-        ValueError: the map is smaller than 4 x 4.
-    """
-    _require_room(features)
-    height, width = features.shape[-2:]
-    last = torch.tensor([width - 2, height - 2], device=along_u.device)
-    first = torch.nan_to_num(torch.stack([along_u[..., 0], along_v[..., 0]], dim=-1).detach())
-    corner = torch.minimum(first.clamp(min=1).floor().long(), last) - 1
-    taps = _gather(features, corner, size=math.ceil(span) + 4)  # (..., N, K rows, K columns, D)
-    both_u = _hats(along_u - corner[..., 0, None], taps)
-    both_v = _hats(along_v - corner[..., 1, None], taps)
-    with torch.autocast(taps.device.type, enabled=False):
-        rows = torch.matmul(both_u, taps.transpose(-3, -2).flatten(-2)).unflatten(
-            -1, taps.shape[-2:]
-        )  # (..., 2 M, K, D)
-        grid = torch.matmul(both_v, rows.transpose(-3, -2).flatten(-2)).unflatten(-1, (-1, taps.shape[-1]))
-    count = along_u.shape[-1]
-    (values, by_u), (by_v, _) = [part.split(count, dim=-2) for part in grid.split(count, dim=-3)]
-    jacobian = torch.stack([by_u, by_v], dim=-1)
-    on_u = (along_u >= 1) & (along_u <= width - 2)
-    on_v = (along_v >= 1) & (along_v <= height - 2)
-    return SampledWithGradient(values, jacobian, on_v[..., :, None] & on_u[..., None, :])
-
-
-def _hats(t: Tensor, taps: Tensor) -> Tensor:
-    """Weights (..., 2 M, K) of K samples at t (..., M), counted from the first: for values, then for derivatives."""
-    steps = torch.arange(taps.shape[-2], device=t.device)
-    distance = torch.nan_to_num(t)[..., None] - steps
-
-    def hat(x: Tensor) -> Tensor:
-        return (1 - x.abs()).clamp(min=0)
-
-    return torch.cat([hat(distance), 0.5 * (hat(distance + 1) - hat(distance - 1))], dim=-2).to(taps.dtype)
-
-
-def _require_room(features: Tensor) -> None:
-    if min(features.shape[-2:]) < _SMALLEST_MAP:
-        raise ValueError(f"derivatives need maps of 4 x 4 pixels or more, got {tuple(features.shape[-2:])}")
 
 
 def _between(taps: Tensor, a: Tensor) -> Tensor:

@@ -33,12 +33,7 @@ class AttentionOptions(Options):
     """X + X * A instead of X * A"""
 
     def __post_init__(self) -> None:
-        require(
-            self,
-            "after",
-            lambda after: len(set(after)) == len(after) and set(after) <= {"layer3", "layer4"},
-            "layer3, layer4, both or none",
-        )
+        require(self, "after", lambda after: len(set(after)) == len(after), "layer3, layer4, both or none")
         require(self, "kernel", lambda k: 1 <= k <= 255 and k % 2, "an odd number of pixels up to 255")
 
 

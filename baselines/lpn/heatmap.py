@@ -19,7 +19,7 @@ from torch.nn import functional
 
 from baselines.initialisation import convolution, draw_weights
 from baselines.lpn.pooling import PartMean, Parts, masked_means
-from baselines.options import Options, one_of, require
+from baselines.options import Options, require
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,8 @@ class HeatmapOptions(Options):
     """``all``: mean over all pixels; ``mask``: weighted mean, divided by the sum of the mask"""
 
     def __post_init__(self) -> None:
-        one_of(self, "heat", "sum", "mean")
         require(self, "hidden", lambda hidden: 1 <= hidden <= 4096, "1 to 4096 channels")
         require(self, "kernel", lambda k: 1 <= k <= 255 and k % 2, "an odd number of pixels up to 255")
-        one_of(self, "mean", "all", "mask")
 
 
 class HeatmapPartition(nn.Module):

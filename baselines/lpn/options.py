@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Literal
 
 from baselines.lpn.attention import AttentionOptions
 from baselines.lpn.heatmap import HeatmapOptions
 from baselines.lpn.rings import RingMean
 from baselines.lpn.soft_partition import SoftPartitionOptions
-from baselines.options import Options, one_of, require, share_below_1
+from baselines.options import Options, require, share_below_1
 
 BackboneName = Literal["resnet18", "resnet50", "efficientnet-lite0"]
 Partition = Literal["rings", "soft", "heatmap"]
@@ -43,9 +43,6 @@ class NetworkOptions(Options):
     """share of the embedding that is dropped in front of the classifier in training"""
 
     def __post_init__(self) -> None:
-        one_of(self, "backbone", *get_args(BackboneName))
-        one_of(self, "last_stride", 1, 2)
-        one_of(self, "partition", "rings", "soft", "heatmap")
         least = 1 if self.partition == "rings" else 2
         require(
             self,
@@ -53,8 +50,6 @@ class NetworkOptions(Options):
             lambda parts: least <= parts <= _MOST_PARTS,
             f"{least} to {_MOST_PARTS} with partition {self.partition}",
         )
-        one_of(self, "ring_mean", "square", "ring")
-        one_of(self, "street", "none", "separate", "shared")
         require(self, "width", lambda width: 1 <= width <= _MOST_WIDTH, f"1 to {_MOST_WIDTH}")
         share_below_1(self, "dropout")
 

@@ -31,7 +31,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from baselines.options import Options, above_0, at_least, one_of
+from baselines.options import Options, above_0, at_least
 
 _LEAST = 1e-12
 """added to s in the original and to the mean of a mask, so that the loss of equal masks is finite"""
@@ -54,8 +54,6 @@ class PartitionLossOptions(Options):
     """of ``exponential``"""
 
     def __post_init__(self) -> None:
-        one_of(self, "form", "original", "power", "exponential")
-        one_of(self, "over", "parts", "pixels")
         at_least(self, 0, "weight")
         at_least(self, 1, "power")
         above_0(self, "tau")

@@ -22,7 +22,7 @@ from torch import Tensor, nn
 
 from baselines.initialisation import convolution
 from baselines.lpn.pooling import PartMean, Parts, masked_means
-from baselines.options import Options, one_of
+from baselines.options import Options
 
 _SPREAD = 0.001
 
@@ -33,9 +33,6 @@ class SoftPartitionOptions(Options):
 
     mean: PartMean = "all"
     """``all``: mean over all pixels, as in the paper; ``mask``: weighted mean, divided by the sum of probabilities"""
-
-    def __post_init__(self) -> None:
-        one_of(self, "mean", "all", "mask")
 
 
 class SoftPartition(nn.Module):

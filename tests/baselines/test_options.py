@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from baselines.options import OptionError, at_least, one_of, options_from_dict
+from baselines.options import OptionError, at_least, options_from_dict
 from relocbench.errors import ConfigError
 
 
@@ -18,7 +18,6 @@ class Loss:
 
     def __post_init__(self) -> None:
         at_least(self, 0, "weight")
-        one_of(self, "form", "round", "square")
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,6 @@ class Options:
     ("values", "message"),
     [
         ({"loss": {"weight": -1}}, "loss.weight is -1.0, expected 0 or more"),
-        ({"loss": {"form": "flat"}}, "loss.form is 'flat', expected round or square"),
         ({"loss": {"form": None}}, "loss.form is null: Input should be a valid string"),
     ],
 )

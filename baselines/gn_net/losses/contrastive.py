@@ -4,8 +4,7 @@ With d = ||F_a(u_a) - F_b(u_b)||_2, GN-Net (von Stumberg et al., RA-L 2020, sect
 
     positives  mean d^2                negatives  mean max(0, M - d)^2
 
-LM-Reloc (von Stumberg et al., 3DV 2020) has max(0, M - d^2) for negatives. Published reimplementations also have a
-margin m within which positives cost nothing: max(0, d - m)^2, or max(0, d^2 - m).
+LM-Reloc (von Stumberg et al., 3DV 2020) has max(0, M - d^2) for negatives.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from baselines.options import Options, at_least, one_of, require
+from baselines.options import Options, above_0, at_least
 
 Form = Literal["distance", "squared"]
 
@@ -33,8 +32,6 @@ class ContrastiveOptions(Options):
     """``distance``: max(0, M - d)^2 (GN-Net); ``squared``: max(0, M - d^2) (LM-Reloc)"""
     margin: float = 1.0
     """M; negatives farther apart than this cost nothing"""
-    positive_margin: float = 0.0
-    """m; positives closer than this cost nothing"""
     negatives: Literal["random", "hard", "both"] = "both"
     """which wrong pixels of the query a feature is compared with"""
     away: float = 4.0
@@ -43,25 +40,9 @@ class ContrastiveOptions(Options):
     """number of pixels drawn in each image, of which the hardest negative of each point is chosen"""
 
     def __post_init__(self) -> None:
-        one_of(self, "form", "distance", "squared")
-        one_of(self, "negatives", "random", "hard", "both")
-        at_least(self, 0, "weight negative_weight positive_margin away")
+        at_least(self, 0, "weight negative_weight away")
         at_least(self, 1, "candidates")
-        require(
-            self,
-            "margin",
-            lambda margin: margin > self.positive_margin,
-            f"more than positive_margin, which is {self.positive_margin}",
-        )
-
-
-def positive_terms(f_a: Tensor, f_b: Tensor, form: Form = "distance", margin: float = 0.0) -> Tensor:
-    """The cost (...) of features (..., D) of the same point: max(0, d - m)^2 or max(0, d^2 - m); m = 0 gives d^2."""
-    squared = ((f_a - f_b) ** 2).sum(-1)
-    if form == "squared" or margin == 0.0:
-        return (squared - margin).clamp(min=0)
-    out: Tensor = (torch.linalg.vector_norm(f_a - f_b, dim=-1) - margin).clamp(min=0) ** 2
-    return out
+        above_0(self, "margin")
 
 
 def negative_terms(f_a: Tensor, f_b: Tensor, form: Form = "distance", margin: float = 1.0) -> Tensor:

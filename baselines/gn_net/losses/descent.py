@@ -5,25 +5,19 @@ LM-Reloc (von Stumberg et al., 3DV 2020), with the symbols of ``gauss_newton`` a
     x_after = x_s - (J^T J + lambda_f I)^-1 b
     E = max(0, ||x_after - u_b||^2 - ||x_s - u_b||^2 + margin)      lambda_f = 2, margin = 0.1
 
-That far away the minimum of the linear system says little, but the direction of descent can be right. ``diagonal``
-damps by lambda_f diag(J^T J) instead, so that the step does not depend on the features' scale.
+That far away the minimum of the linear system says little, but the direction of descent can be right.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from torch import Tensor
 
-from baselines.gn_net.losses.symmetric import Symmetric, normal_equations
+from baselines.gn_net.losses.symmetric import normal_equations
 from baselines.gn_net.sampling import sample_with_gradient
-from baselines.options import Options, above_0, at_least, one_of
-
-Damping = Literal["identity", "diagonal"]
-
-_LEAST = 1e-12
-"""added to the diagonal, so that a map without contrast gives no step rather than a division by zero"""
+from baselines.options import Options, above_0, at_least
 
 
 @dataclass(frozen=True)
@@ -36,15 +30,12 @@ class DescentOptions(Options):
     """pixels of the level; along u and v, starts are uniform within this distance of the true pixel"""
     damping: float = 2.0
     """lambda_f"""
-    damped: Damping = "identity"
-    """the matrix that lambda_f multiplies: the identity, or the diagonal of J^T J"""
     margin: float = 0.1
     """pixels^2 of the level"""
 
     def __post_init__(self) -> None:
         at_least(self, 0, "weight margin")
         above_0(self, "vicinity damping")
-        one_of(self, "damped", "identity", "diagonal")
 
 
 class DescentTerms(NamedTuple):
@@ -64,15 +55,8 @@ def descent_terms(
     """The cost of one damped step for each point; arguments are those of ``gauss_newton_terms``."""
     values, jacobian, valid = sample_with_gradient(features_query, start)
     hessian, b = normal_equations(jacobian, values - f_ref)
-    after = start.double() - _damped(hessian, options).solve(b)
+    after = start.double() - hessian.plus_diagonal(options.damping).solve(b)
     before_squared = ((start - u_true).double() ** 2).sum(-1)
     after_squared = ((after - u_true.double()) ** 2).sum(-1)
     cost = (after_squared - before_squared + options.margin).clamp(min=0)
     return DescentTerms(cost, valid, (after_squared < before_squared).detach())
-
-
-def _damped(hessian: Symmetric, options: DescentOptions) -> Symmetric:
-    if options.damped == "identity":
-        return hessian.plus_diagonal(options.damping)
-    more = 1.0 + options.damping
-    return Symmetric(more * hessian.xx, hessian.xy, more * hessian.yy).plus_diagonal(_LEAST)

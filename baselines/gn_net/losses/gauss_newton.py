@@ -14,19 +14,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from baselines.gn_net.losses.symmetric import normal_equations
 from baselines.gn_net.sampling import sample_with_gradient
-from baselines.options import Options, above_0, at_least, one_of
+from baselines.options import Options, above_0, at_least
 
 
 @dataclass(frozen=True)
 class GaussNewtonOptions(Options):
-    """Weights of the loss and its parts, and the choice of starts."""
+    """Weights of the loss and its parts, and how far off starts are."""
 
     weight: float = 0.5
     """weight relative to the contrastive loss; 0 disables the loss"""
@@ -38,16 +38,10 @@ class GaussNewtonOptions(Options):
     """added to both diagonal entries of J^T J, squared features / pixel^2"""
     vicinity: float = 1.0
     """pixels of the level; along u and v, starts are uniform within this distance of the true pixel"""
-    start: Literal["drawn", "integrated", "affine"] = "drawn"
-    """``drawn``: one random start for each point, as in the paper; ``integrated``: the mean over all starts;
-    ``affine``: that mean for features that are linear around the true pixel"""
-    nodes: int = 2
-    """quadrature nodes of ``integrated`` along each side of a cell between four pixels"""
 
     def __post_init__(self) -> None:
         at_least(self, 0, "weight e1 e2")
-        above_0(self, "eps vicinity nodes")
-        one_of(self, "start", "drawn", "integrated", "affine")
+        above_0(self, "eps vicinity")
 
 
 class GaussNewtonTerms(NamedTuple):
@@ -60,8 +54,7 @@ class GaussNewtonTerms(NamedTuple):
     valid: Tensor
     """(..., N) bool: the start and its neighbours are on the map"""
     near_singular: Tensor
-    """(..., N): 1 where the smaller eigenvalue of J^T J is below eps, so that eps determines the uncertainty, else 0;
-    of a mean over starts, the share of them"""
+    """(..., N): 1 where the smaller eigenvalue of J^T J is below eps, so that eps determines the uncertainty, else 0"""
 
 
 def draw_starts(u_true: Tensor, vicinity: float, generator: torch.Generator) -> Tensor:
@@ -89,14 +82,9 @@ def gauss_newton_terms(
         eps: see ``GaussNewtonOptions``.
     """
     values, jacobian, valid = sample_with_gradient(features_query, start)
-    return terms_of_step(values - f_ref, jacobian, start - u_true, valid, eps)
-
-
-def terms_of_step(residual: Tensor, jacobian: Tensor, delta: Tensor, valid: Tensor, eps: float) -> GaussNewtonTerms:
-    """e1 and e2 from r (..., D), J (..., D, 2) and delta = x_s - u_b (..., 2)."""
-    hessian, b = normal_equations(jacobian, residual)
+    hessian, b = normal_equations(jacobian, values - f_ref)
     damped = hessian.plus_diagonal(eps)
-    e1 = 0.5 * damped.quadratic(damped.solve(b) - delta.double())  # u_b - mu = H^-1 b - delta
+    e1 = 0.5 * damped.quadratic(damped.solve(b) - (start - u_true).double())  # u_b - mu
     e2 = math.log(2 * math.pi) - 0.5 * torch.log(damped.determinant())
     near_singular = (hessian.smaller_eigenvalue() < eps).to(e1)
     return GaussNewtonTerms(e1, e2, valid, near_singular)

@@ -38,10 +38,6 @@ class Symmetric(NamedTuple):
         x, y = d[..., 0], d[..., 1]
         return self.xx * x * x + 2 * self.xy * x * y + self.yy * y * y
 
-    def trace_of_inverse(self) -> Tensor:
-        """The trace of the inverse (...)."""
-        return (self.xx + self.yy) / self.determinant()
-
     def smaller_eigenvalue(self) -> Tensor:
         """The smaller eigenvalue (...) of a positive semi-definite matrix."""
         half = 0.5 * (self.xx + self.yy)

@@ -10,23 +10,15 @@ import torch
 from torch import Tensor
 
 from baselines.gn_net.losses.ascent import AscentOptions, ascent_terms
-from baselines.gn_net.losses.contrastive import ContrastiveOptions, negative_terms, positive_terms
+from baselines.gn_net.losses.contrastive import ContrastiveOptions, negative_terms
 from baselines.gn_net.losses.descent import DescentOptions, descent_terms
-from baselines.gn_net.losses.gauss_newton import (
-    GaussNewtonOptions,
-    GaussNewtonTerms,
-    draw_starts,
-    gauss_newton_terms,
-)
-from baselines.gn_net.losses.gauss_newton_affine import affine_gauss_newton_terms
-from baselines.gn_net.losses.gauss_newton_integrated import integrated_gauss_newton_terms
-from baselines.gn_net.losses.infonce import InfoNceOptions, infonce_terms
+from baselines.gn_net.losses.gauss_newton import GaussNewtonOptions, draw_starts, gauss_newton_terms
 from baselines.gn_net.losses.negatives import hard_negatives, random_negatives
 from baselines.gn_net.losses.pose import PoseOptions, SeenPoints, draw_start_poses, pose_terms
 from baselines.gn_net.sampling import level_coordinates, sample
 from baselines.options import OptionError, Options, require
 
-_LOSSES = ("contrastive", "infonce", "gauss_newton", "descent", "ascent", "pose")
+_LOSSES = ("contrastive", "gauss_newton", "descent", "ascent", "pose")
 
 
 @dataclass(frozen=True)
@@ -44,7 +36,6 @@ class LossOptions(Options):
     pose: PoseOptions = field(default_factory=PoseOptions)
     level_weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
     """one weight for each level of the network, finest first"""
-    infonce: InfoNceOptions = field(default_factory=InfoNceOptions)
 
     def __post_init__(self) -> None:
         require(
@@ -66,8 +57,8 @@ class LossValue(NamedTuple):
     """scalar"""
     parts: dict[str, Tensor]
     """scalars without derivatives and before weighting, by ``level/part``: ``positive``, ``negative``, ``e1``, ``e2``,
-    ``near_singular`` (share of points), ``infonce``, ``found`` (share of points), ``descent``, ``nearer`` (share of
-    points), ``ascent``, ``higher`` (share of positions), ``points`` (number that counted)"""
+    ``near_singular`` (share of points), ``descent``, ``nearer`` (share of points), ``ascent``, ``higher`` (share of
+    positions), ``points`` (number that counted)"""
 
 
 def total_loss(
@@ -182,13 +173,9 @@ def _level_loss(one: _Level, options: LossOptions, generator: torch.Generator) -
         positive, negative = _contrastive(one, f_ref, counted, options.contrastive, generator)
         total = total + options.contrastive.weight * (positive + options.contrastive.negative_weight * negative)
         parts.update(positive=positive, negative=negative)
-    if options.infonce.weight > 0:
-        cost, found, asked = _infonce(one, f_ref, counted, options.infonce)
-        infonce = masked_mean(cost, asked)
-        total = total + options.infonce.weight * infonce
-        parts.update(infonce=infonce, found=masked_mean(found.double(), asked))
     if options.gauss_newton.weight > 0:
-        terms = _gauss_newton(one, f_ref, options.gauss_newton, generator)
+        start = draw_starts(one.u_query, options.gauss_newton.vicinity, generator)
+        terms = gauss_newton_terms(one.features_query, f_ref, one.u_query, start, options.gauss_newton.eps)
         valid = counted & terms.valid
         e1, e2 = masked_mean(terms.e1, valid), masked_mean(terms.e2, valid)
         total = total + options.gauss_newton.weight * (options.gauss_newton.e1 * e1 + options.gauss_newton.e2 * e2)
@@ -215,7 +202,7 @@ def _contrastive(
 ) -> tuple[Tensor, Tensor]:
     """The means over positives and over negatives."""
     f_query, on_query = sample(one.features_query, one.u_query)
-    positive = masked_mean(positive_terms(f_ref, f_query, options.form, options.positive_margin), counted & on_query)
+    positive = masked_mean(((f_ref - f_query) ** 2).sum(-1), counted & on_query)
     wrong: list[tuple[Tensor, Tensor]] = []
     if options.negatives in ("random", "both"):
         height, width = one.features_query.shape[-2:]
@@ -229,34 +216,6 @@ def _contrastive(
         f_wrong, _ = sample(one.features_query, u_wrong)
         means.append(masked_mean(negative_terms(f_ref, f_wrong, options.form, options.margin), counted & found))
     return positive, torch.stack(means).mean()
-
-
-def _infonce(one: _Level, f_ref: Tensor, counted: Tensor, options: InfoNceOptions) -> tuple[Tensor, Tensor, Tensor]:
-    """The cost of each point, which points are found, and which take part."""
-    n = options.points
-    f_query, on_query = sample(one.features_query, one.u_query[..., :n, :])
-    asked = counted[..., :n] & on_query
-    cost, found = infonce_terms(
-        f_ref[..., :n, :],
-        f_query,
-        one.u_ref[..., :n, :],
-        one.u_query[..., :n, :],
-        asked,
-        options.temperature,
-        options.away,
-    )
-    return cost, found, asked
-
-
-def _gauss_newton(
-    one: _Level, f_ref: Tensor, options: GaussNewtonOptions, generator: torch.Generator
-) -> GaussNewtonTerms:
-    features, u, eps = one.features_query, one.u_query, options.eps
-    if options.start == "integrated":
-        return integrated_gauss_newton_terms(features, f_ref, u, options.vicinity, eps, options.nodes)
-    if options.start == "affine":
-        return affine_gauss_newton_terms(features, f_ref, u, options.vicinity, eps)
-    return gauss_newton_terms(features, f_ref, u, draw_starts(u, options.vicinity, generator), eps)
 
 
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:

@@ -7,17 +7,7 @@ from typing import Final, Literal
 
 from baselines.gn_net.losses.total import LossOptions
 from baselines.gn_net.options import NetworkOptions
-from baselines.options import (
-    OptionError,
-    Options,
-    above_0,
-    at_least,
-    one_of,
-    require,
-    share,
-    share_below_1,
-    valid_shares,
-)
+from baselines.options import OptionError, Options, above_0, at_least, require, share, share_below_1, valid_shares
 
 IMAGENET: Final = "imagenet"
 
@@ -120,7 +110,6 @@ class TrainOptions(Options):
         share(self, "swap mirror final_rate")
         above_0(self, "learning_rate max_sigma")
         at_least(self, 0, "encoder_rate")
-        one_of(self, "encoder_weights", "drawn", IMAGENET)
         if self.encoder_weights == IMAGENET and self.network.encoder != "efficientnet-lite0":
             raise OptionError("encoder_weights", IMAGENET, "drawn, unless network.encoder=efficientnet-lite0")
         if self.encoder_weights == IMAGENET and self.start:

@@ -10,7 +10,7 @@ from baselines.lpn.losses import LossOptions
 from baselines.lpn.network import VIEWS, View
 from baselines.lpn.options import NetworkOptions
 from baselines.lpn.stages import Stage
-from baselines.options import OptionError, Options, at_least, one_of, require, share, share_below_1
+from baselines.options import OptionError, Options, at_least, require, share, share_below_1
 
 _SCRATCH_RATE = 3e-3
 """learning rate of all weights if the backbone starts from random weights; the recipe's rates are for pretrained ones.
@@ -120,7 +120,6 @@ class TrainOptions(Options):
             )
         require(self, "size", lambda size: size >= _ALIGNMENT, f"{_ALIGNMENT} pixels or more")
         at_least(self, 0, "frozen_blocks maps_limit")
-        one_of(self, "frozen", "nothing", "layer3")
         require(
             self, "versions", lambda versions: all(count >= 1 for count in versions.values()), "1 or more of each view"
         )

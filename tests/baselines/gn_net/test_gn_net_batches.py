@@ -307,7 +307,6 @@ def same(a: Batch, b: Batch) -> bool:
         ({"loss": {"descent": {"damping": -1}}}, ("loss.descent.damping", "-1.0")),
         ({"augmentation": {"grey": 2.0}}, ("augmentation.grey", "2.0", 0, 1)),
         ({"augmentation": {"gray": 0.1}}, ("augmentation.gray",)),
-        ({"step": 3}, ("step",)),
     ],
 )
 def test_options_that_make_no_sense_are_refused(changed: dict[str, Any], names: tuple[object, ...]) -> None:

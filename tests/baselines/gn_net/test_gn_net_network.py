@@ -202,7 +202,6 @@ def test_efficientnets_stages_are_an_encoder(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changed", "names"),
     [
-        ({"encoder": "resnet"}, ("encoder", "plain", "efficientnet-lite0")),
         ({"finest": 0}, ("finest", 0, 1)),
         ({"norm": "none"}, ("norm", "none", "batch")),
         ({"widths": (4,) * 6}, ("widths", 5)),
@@ -238,18 +237,12 @@ def test_what_is_no_image_is_refused(shape: tuple[int, ...]) -> None:
         ({"levels": 6}, "levels"),
         ({"levels": 0}, "levels"),
         ({"levels": "many"}, "levels"),
-        ({"norm": "layer"}, "norm"),
-        ({"normalise": "softmax"}, "normalise"),
         ({"depth": 3}, "depth"),
     ],
 )
 def test_options_that_make_no_sense_are_named(values: dict[str, object], said: str) -> None:
     with refused(ConfigError, "", None, said):
         options_from_dict(NetworkOptions, values)
-
-
-def test_options_survive_json() -> None:
-    assert options_from_dict(NetworkOptions, json.loads(json.dumps(asdict(SMALL)))) == SMALL
 
 
 @torch.no_grad()

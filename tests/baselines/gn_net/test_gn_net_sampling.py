@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from baselines.alignment.shared.pyramid import level_camera, with_gradients
-from baselines.gn_net.sampling import level_coordinates, sample, sample_grid_with_gradient, sample_with_gradient
+from baselines.gn_net.sampling import level_coordinates, sample, sample_with_gradient
 from relocbench.geometry import Camera
 
 
@@ -88,25 +88,6 @@ def test_images_of_a_batch_do_not_mix() -> None:
         alone = sample_with_gradient(features[b], u[b])
         for one, many in zip(alone, together, strict=True):
             torch.testing.assert_close(one, many[b], rtol=1e-12, atol=1e-12)
-
-
-def test_a_grid_of_places_is_sampled_as_the_places_one_by_one() -> None:
-    features = noise(2, 3, 9, 11)
-    middle = torch.stack([places(30, (9, 11), margin=0.0, seed=s) for s in (1, 2)])  # some grids leave the map
-    middle[0, 0] = torch.tensor([9.0, 7.0])
-    steps = torch.tensor([-1.0, -0.3, 0.0, 0.25, 1.0], dtype=torch.float64)
-    along_u, along_v = middle[..., 0, None] + steps, middle[..., 1, None] + steps
-    values, jacobian, valid = sample_grid_with_gradient(features, along_u, along_v, span=2.0)
-    grid = torch.stack(torch.broadcast_tensors(along_u[..., None, :], along_v[..., :, None]), dim=-1)
-    wanted = sample_with_gradient(features, grid.flatten(1, 3))
-    assert torch.equal(valid.flatten(1), wanted.valid)
-    assert 0.3 < wanted.valid.double().mean() < 1.0
-    assert torch.allclose(values.flatten(1, 3)[wanted.valid], wanted.values[wanted.valid], atol=1e-12)
-    assert torch.allclose(jacobian.flatten(1, 3)[wanted.valid], wanted.jacobian[wanted.valid], atol=1e-12)
-    assert values.isfinite().all()
-    nowhere = sample_grid_with_gradient(features, along_u * torch.nan, along_v + 1e9, span=2.0)
-    assert not nowhere.valid.any()
-    assert nowhere.values.isfinite().all()
 
 
 def test_derivatives_reach_the_map_and_the_places() -> None:

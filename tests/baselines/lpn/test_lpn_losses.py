@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Literal, cast
 
 import pytest
@@ -273,22 +272,14 @@ def test_the_originals_derivative_by_the_variance_never_vanishes() -> None:
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"partition": {"form": "log"}}, "form"),
-        ({"partition": {"over": "channels"}}, "over"),
         ({"partition": {"weight": -1.0}}, "weight"),
         ({"partition": {"power": 0.5}}, "power"),
         ({"partition": {"tau": 0.0}}, "tau"),
         ({"decorrelation": {"weight": 1.0}}, "weight"),
         ({"decorrelation": {"scale": 0.0}}, "scale"),
         ({"decorrelation": {"lambda": 1.0}}, "lambda"),
-        ({"triplet": {}}, "triplet"),
     ],
 )
 def test_options_that_make_no_sense_are_named(values: dict[str, object], said: str) -> None:
     with refused(ConfigError, "", None, said):
         options_from_dict(LossOptions, values)
-
-
-def test_options_survive_json() -> None:
-    options = LossOptions(DecorrelationOptions(weight=0.1), PartitionLossOptions(weight=1.0, form="exponential"))
-    assert options_from_dict(LossOptions, json.loads(json.dumps(asdict(options)))) == options
