@@ -18,7 +18,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,9 +31,7 @@ import archives  # noqa: E402  from the folder above
 _COMMIT = re.compile(r"Printed by commit\s+[0-9a-f]+\+?")
 """which is another one each time"""
 _PREDICTIONS = "from predictions"
-_FROM_ERRORS = ("leaderboard.csv",)
-"""the table that follows from the published errors; the others are what it follows from, or come from predictions"""
-_TABLES = (*_FROM_ERRORS, "datasets.csv", "errors.csv", "matching.csv", "truth.csv")
+_TABLES = ("leaderboard.csv", "datasets.csv", "errors.csv", "matching.csv", "truth.csv")
 
 
 class Finding(NamedTuple):
@@ -152,13 +150,14 @@ def edition_again(page: Path, scratch: Path, datasets: Path | None = None) -> Fi
 
 def small_sets(leaderboard: Path, scratch: Path, recordings: Path | None) -> Iterator[Finding]:
     """The tables of the small sets, from published errors, and from predictions and recipes."""
+    if not any((leaderboard / "predictions").glob("*/*.tar.xz")):
+        yield Finding("leaderboard.md", _PREDICTIONS, "cannot be recomputed: no predictions published")
+        return
     again = scratch / "from_errors"
     shutil.copytree(leaderboard, again, dirs_exist_ok=True)
     _run("tools/rewrite_board.py", again)
-    yield from _of_board(leaderboard, again, "from published errors", _FROM_ERRORS)
-    if not any((leaderboard / "predictions").glob("*/*.tar.xz")):
-        yield Finding("leaderboard.md", _PREDICTIONS, "cannot be recomputed: no predictions published")
-    elif recordings is None:
+    yield from _of_board(leaderboard, again, "from published errors")
+    if recordings is None:
         yield Finding("leaderboard.md", _PREDICTIONS, "not recomputed: no --recordings to build datasets from")
     else:
         subprocess.run([ROOT / "tools" / "build_small_sets.sh", recordings, scratch], check=True, stdout=sys.stderr)
@@ -173,12 +172,12 @@ def from_predictions(leaderboard: Path, datasets: Path, scratch: Path) -> Iterat
     if fault:
         yield Finding("leaderboard.md", _PREDICTIONS, f"differs: {fault}", differs=True)
         return
-    yield from _of_board(leaderboard, board, _PREDICTIONS, _TABLES)
+    yield from _of_board(leaderboard, board, _PREDICTIONS)
 
 
-def _of_board(leaderboard: Path, again: Path, source: str, tables: Sequence[str]) -> Iterator[Finding]:
+def _of_board(leaderboard: Path, again: Path, source: str) -> Iterator[Finding]:
     sets = {f"sets/{path.name}" for folder in (leaderboard, again) for path in (folder / "sets").glob("*.md")}
-    there = [name for name in tables if (leaderboard / name).exists() or (again / name).exists()]
+    there = [name for name in _TABLES if (leaderboard / name).exists() or (again / name).exists()]
     for name in ("leaderboard.md", "reading.md", *there, *sorted(sets)):
         yield compared(name, source, leaderboard / name, again / name)
 

@@ -13,12 +13,13 @@ from ground_truth_judging import Exact, Judged
 from ground_truth_work import CutUnit, DecideUnit, RegisterUnit, Spent, cut, unverified
 
 from relocbench.arrays import Array
+from relocbench.datasets.core import build
 from relocbench.datasets.groundtruth.alignment.two_drives import RegistrationUnit
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
-from relocbench.execution import Run, run_units
+from relocbench.execution import Run
 from relocbench.geometry import invert, rotation_angle
 
 DrivePair = tuple[int, int]
@@ -40,12 +41,7 @@ class World:
 
     def all_of(self, function: Any, units: Sequence[Any], title: str) -> list[Any]:
         """Results in the order of the units."""
-        out: dict[int, Any] = {}
-        with self.spoken.stage(title, len(units)) as advance:
-            for index, result in run_units(function, units, Run(self.workers)):
-                out[index] = result
-                advance(1)
-        return [out[k] for k in range(len(units))]
+        return build.work(title, function, units, Run(self.workers), self.spoken)
 
     def exact(self, ref: int, query: int) -> Exact:
         return Exact(self.taken[ref], self.taken[query], OPTIONS.max_distance, OPTIONS.max_angle)

@@ -13,6 +13,7 @@ from relocbench.files.names import (
     check_label,
     check_name,
     fitting_name,
+    natural,
     plain_name,
 )
 from relocbench.files.nearby import did_you_mean
@@ -81,6 +82,7 @@ __all__ = [
     "load_yaml_values",
     "locked_folder",
     "locked_output",
+    "natural",
     "parse_count",
     "parse_floats",
     "parse_json",

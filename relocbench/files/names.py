@@ -96,6 +96,12 @@ def check_distinct(names: Iterable[str], what: str) -> None:
         seen[folded] = name
 
 
+def natural(name: str) -> tuple[list[int | str], str]:
+    """A key that puts 2 before 10."""
+    parts = re.split("([0-9]+)", name)  # numbers stand at odd places
+    return [int(part) if place % 2 else part for place, part in enumerate(parts)], name
+
+
 def fitting_name(name: str, most_bytes: int = MAX_JOINED_BYTES) -> str:
     """The name, or where it is longer than a name may be, its beginning and a hash of all of it."""
     if len(name.encode()) <= most_bytes:

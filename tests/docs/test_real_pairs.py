@@ -27,7 +27,6 @@ from repository import ROOT
 from relocbench.arrays import Array, Image
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.generic import dataset as generic
-from relocbench.datasets.moved_views.surfaces import plane_homography
 from relocbench.errors import DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import make_transform, so3_exp
@@ -236,10 +235,10 @@ def test_pose_and_plane_of_a_homography_show_the_second_photograph(tmp_path: Pat
 def test_every_homography_of_a_motion_before_a_plane_has_a_pose_and_a_plane_that_give_it(seed: int) -> None:
     rng, camera = np.random.default_rng(seed), homographies.CAMERA
     T_query_ref = make_transform(so3_exp(rng.uniform(-0.2, 0.2, size=3)), rng.uniform(-1, 1, size=3))
-    H = plane_homography(camera, camera, T_query_ref, np.array([*rng.uniform(-0.05, 0.05, size=2), 0.2]))
+    H = generic_folder.plane_homography(camera, T_query_ref, np.array([*rng.uniform(-0.05, 0.05, size=2), 0.2]))
     found = homographies.decomposed(3.0 * H)
     assert found is not None
-    again = plane_homography(camera, camera, *found)
+    again = generic_folder.plane_homography(camera, *found)
     assert np.allclose(again / again[2, 2], H / H[2, 2], rtol=1e-8, atol=1e-8)
     assert np.all(generic_folder.plane_depth(camera, found[1]) > 0)
 
@@ -258,8 +257,8 @@ def test_a_homography_that_takes_pixels_of_the_keyframe_to_infinity_has_no_plane
 def test_a_plane_that_is_far_from_the_query_tells_no_pose() -> None:
     camera, inverse = homographies.CAMERA, np.array([0.0, 0.0, 1 / homographies.PLANE_M])
     near, far = (make_transform(np.eye(3), np.array([0.0, 0.0, metres])) for metres in (2.0, 12.0))
-    assert homographies.decomposed(plane_homography(camera, camera, near, inverse)) is not None
-    assert homographies.decomposed(plane_homography(camera, camera, far, inverse)) is None
+    assert homographies.decomposed(generic_folder.plane_homography(camera, near, inverse)) is not None
+    assert homographies.decomposed(generic_folder.plane_homography(camera, far, inverse)) is None
 
 
 def test_the_sigmas_of_a_pose_are_those_of_poses_from_pixels_with_errors() -> None:

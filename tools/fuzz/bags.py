@@ -9,6 +9,7 @@ import numpy as np
 
 from fuzz.asking import write
 from fuzz.parser import Parser, Place
+from fuzz.sensors import read_all
 
 if TYPE_CHECKING:
     from made_bags import Bag
@@ -74,11 +75,7 @@ def _read(path: Path, place: Place, **settings: object) -> None:
 
     how = BagSettings(wanted=Wanted(odometry="/odom"), **settings)  # type: ignore[arg-type]
     recording, _ = read_bag(open_bag(path, how.wanted), "drive", how, kept=place.out / "index.npz")
-    for lidar in recording.lidars:
-        for index in range(len(lidar.times_ns)):
-            lidar.read(index)
-    for camera in recording.cameras.values():
-        camera.read(1)
+    read_all(recording)
 
 
 def _rosbag1(place: Place) -> None:

@@ -11,10 +11,10 @@ import numpy as np
 
 from fuzz.asking import write
 from fuzz.parser import Parser, Place, Read
+from fuzz.sensors import read_all
 
 if TYPE_CHECKING:
     from relocbench.datasets.importers.lidar_drives.drives import DriveFiles
-    from relocbench.datasets.sensors.recording import CameraStream, LidarStream
 
 _START_NS = 1_600_000_000_000_000_000
 _TIMES = [_START_NS + i * 100_000_000 for i in range(3)]
@@ -182,10 +182,7 @@ def _all_of(drive: DriveFiles) -> None:
 
     read_table.cache_clear()
     drive.with_times_only()
-    streams: list[LidarStream | CameraStream] = [*drive.lidars, *drive.cameras.values()]
-    for stream in streams:
-        for index in range(len(stream.times_ns)):
-            stream.read(index)
+    read_all(drive)
 
 
 def _reads(name: str) -> Read:
@@ -222,10 +219,7 @@ def _reads(name: str) -> Read:
 def _velodynes(place: Place) -> None:
     from relocbench.datasets.importers.robotcar.recording import read_robotcar
 
-    recording = read_robotcar(place.root / "2019-01-10-11-46-21-radar-oxford-10k")
-    for lidar in recording.lidars:
-        for index in range(len(lidar.times_ns)):
-            lidar.read(index)
+    read_all(read_robotcar(place.root / "2019-01-10-11-46-21-radar-oxford-10k"))
 
 
 SEEDS: dict[str, Any] = {

@@ -11,7 +11,7 @@ import numpy as np
 
 from fuzz.asking import asks, write
 from fuzz.parser import Parser, Place, Read
-from fuzz.sensors import points
+from fuzz.sensors import points, read_all
 
 _START_NS = 1_600_000_000_000_000_000
 _STEP_NS = 100_000_000
@@ -198,13 +198,8 @@ def _kitti_calibration(sequence: object) -> None:
 
 def _kitti_recording(place: Place) -> None:
     from relocbench.datasets.importers.kitti.recording import read_kitti
-    from relocbench.datasets.sensors.recording import CameraStream, LidarStream
 
-    recording = read_kitti(place.root / "kitti", "00", odometry="poses")
-    streams: list[LidarStream | CameraStream] = [*recording.lidars, *recording.cameras.values()]
-    for stream in streams:
-        for index in range(len(stream.times_ns)):
-            stream.read(index)
+    read_all(read_kitti(place.root / "kitti", "00", odometry="poses"))
 
 
 def _four_seasons(name: str) -> Read:
@@ -250,14 +245,9 @@ def _robotcar_files(name: str) -> Read:
 def _robotcar(place: Place) -> None:
     from relocbench.datasets.importers.robotcar.recording import read_robotcar
     from relocbench.datasets.importers.robotcar.sensors import read_look_up_table
-    from relocbench.datasets.sensors.recording import CameraStream, LidarStream
 
     read_look_up_table.cache_clear()
-    recording = read_robotcar(place.root / "2014-11-18-13-20-12")
-    streams: list[LidarStream | CameraStream] = [*recording.lidars, *recording.cameras.values()]
-    for stream in streams:
-        for index in range(len(stream.times_ns)):
-            stream.read(index)
+    read_all(read_robotcar(place.root / "2014-11-18-13-20-12"))
 
 
 def _generic(place: Place) -> None:

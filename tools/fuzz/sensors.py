@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fuzz.asking import write
 from fuzz.parser import Parser, Place
+
+if TYPE_CHECKING:
+    from relocbench.datasets.importers.lidar_drives.drives import DriveFiles
+    from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream
 
 _NAMES = ("x", "y", "z", "intensity")
 
@@ -183,6 +188,14 @@ def _crc32c(data: bytes) -> int:
     return crc ^ 0xFFFFFFFF
 
 
+def read_all(recording: FieldRecording | DriveFiles) -> None:
+    """Every scan and image of a recording."""
+    streams: list[LidarStream | CameraStream] = [*recording.lidars, *recording.cameras.values()]
+    for stream in streams:
+        for index in range(len(stream.times_ns)):
+            stream.read(index)
+
+
 def _velodyne(place: Place) -> None:
     from relocbench.datasets.sensors.velodyne import read_scan
 
@@ -192,10 +205,7 @@ def _velodyne(place: Place) -> None:
 def _lidar_folder(place: Place) -> None:
     from relocbench.datasets.importers.generic.recording import read_generic
 
-    recording = read_generic(place.root / "drive", odometry="poses")
-    for lidar in recording.lidars:
-        for index in range(len(lidar.times_ns)):
-            lidar.read(index)
+    read_all(read_generic(place.root / "drive", odometry="poses"))
 
 
 def _block(place: Place) -> None:

@@ -123,6 +123,18 @@ def plane_depth(camera: Camera, inverse: Array) -> Array:
     return np.asarray(1.0 / (rays @ inverse)).reshape(camera.height, camera.width)
 
 
+def plane_homography(camera: Camera, T_query_ref: Array, inverse: Array) -> Array:
+    """(3, 3) from pixels of the keyframe to those of a query of the same camera, for points of a plane.
+
+    ``K (R + t n^T / d) K^-1`` (Hartley and Zisserman, Multiple View Geometry, 2nd edition, 13.2).
+
+    Args:
+        inverse: as of :func:`plane_depth`.
+    """
+    moved = T_query_ref[:3, :3] + np.outer(T_query_ref[:3, 3], inverse)
+    return np.asarray(camera.matrix @ moved @ np.linalg.inv(camera.matrix))
+
+
 def _standing(place: int) -> Array:
     """``T_world_ref`` of the keyframe with a number."""
     T_world_ref = np.eye(4)

@@ -30,10 +30,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from generic_folder import Keyframe, Query, centred, made_up_ns, middle, plane_depth, read
+from generic_folder import Keyframe, Query, centred, made_up_ns, middle, plane_depth, plane_homography, read
 
 from relocbench.arrays import Array
-from relocbench.datasets.moved_views.surfaces import plane_homography
 from relocbench.errors import DatasetError
 from relocbench.geometry import apply, hat, make_transform
 
@@ -128,7 +127,7 @@ def _serves(H: Array, T_query_ref: Array, inverse: Array) -> bool:
     """Whether the plane is in front of both cameras in the keyframe's corners, and gives H there."""
     if np.any(_RAYS @ inverse <= 0) or np.any(_corners(T_query_ref, inverse)[:, 2] <= 0):
         return False
-    seen, wanted = (_CORNERS @ each.T for each in (plane_homography(CAMERA, CAMERA, T_query_ref, inverse), H))
+    seen, wanted = (_CORNERS @ each.T for each in (plane_homography(CAMERA, T_query_ref, inverse), H))
     return bool(np.all(np.abs(seen[:, :2] / seen[:, 2:] - wanted[:, :2] / wanted[:, 2:]) <= MOST_OFF_PX))
 
 

@@ -27,11 +27,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from generic_folder import MAP, Keyframe, Query, centred, middle, plane_depth, read
+from generic_folder import MAP, Keyframe, Query, centred, middle, plane_depth, plane_homography, read
 from scipy.spatial.transform import Rotation
 
 from relocbench.arrays import Array, Image
-from relocbench.datasets.moved_views.surfaces import plane_homography
 from relocbench.errors import DatasetError
 
 SIZE = 480, 320
@@ -169,7 +168,7 @@ def drawn_motion(size: tuple[int, int], rng: np.random.Generator) -> Array:
 
 def homography(T_query_ref: Array) -> Array:
     """(3, 3) from pixels of the keyframe to those of the query, for points of the plane."""
-    return plane_homography(CAMERA, CAMERA, T_query_ref, PLANE)
+    return plane_homography(CAMERA, T_query_ref, PLANE)
 
 
 def views(folders: dict[str, list[Pair]]) -> dict[str, list[Query]]:

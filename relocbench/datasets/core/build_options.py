@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -16,6 +16,11 @@ class DatasetOptions(Strict):
     """Options of every dataset, with or without images. Each field is a command-line option (``max_distance`` is
     ``--max-distance``) and a YAML key."""
 
+    LATER: ClassVar[tuple[str, ...]] = ()
+    """options that earlier versions did not have, and whose defaults change nothing"""
+    PATHS: ClassVar[tuple[str, ...]] = ()
+    """options that name folders and files; what these hold is recorded"""
+
     name: str = Field("", description="name of the dataset; default: made from the kind and the recordings")
     licence: str = Field("unknown", description="licence of the recordings, kept in dataset.yaml")
     conditions: dict[str, Condition] = Field(
@@ -23,8 +28,13 @@ class DatasetOptions(Strict):
     )
 
     def recorded(self) -> dict[str, Any]:
-        """The options as ``build.yaml`` and ``dataset.yaml`` keep them; the content id covers these."""
-        return self.model_dump(mode="json")
+        """The options as ``build.yaml`` and ``dataset.yaml`` keep them; the content id covers these.
+
+        Paths are left out, and later options at their defaults, as earlier versions had it.
+        """
+        fields = type(self).model_fields
+        unused = {name for name in self.LATER if getattr(self, name) == fields[name].default}
+        return self.model_dump(mode="json", exclude=unused | set(self.PATHS))
 
     def condition_of(self, traversal: str) -> Condition:
         """The condition that is given for a traversal; unknown by default."""
@@ -93,8 +103,8 @@ class PairingOptions(DatasetOptions):
 
     def recorded(self) -> dict[str, Any]:
         """The options, without those of pairs of different places where there are none: as earlier versions had it."""
-        unused = set() if self.elsewhere else {"elsewhere", "elsewhere_distance"}
-        return self.model_dump(mode="json", exclude=unused)
+        unused = () if self.elsewhere else ("elsewhere", "elsewhere_distance")
+        return {name: value for name, value in super().recorded().items() if name not in unused}
 
     @model_validator(mode="after")
     def _elsewhere_is_farther(self) -> Self:

@@ -66,13 +66,18 @@ def read_exif(data: bytes) -> Exif:
 
 
 def _read_tiff(data: bytes) -> Exif:
-    order = {b"II*\0": "<", b"MM\0*": ">"}.get(data[:4])
-    if order is None or len(data) < 8:
-        return Exif()
-    first = _entries(data, struct.unpack_from(order + "I", data, 4)[0], order)
+    first, order = tiff_entries(data)
     orientation = first.get(_ORIENTATION, 1)
     inner = _entries(data, first[_EXIF_FOLDER], order) if _EXIF_FOLDER in first else {}
     return Exif(orientation if 1 <= orientation <= 8 else 1, inner.get(_FOCAL_35MM))
+
+
+def tiff_entries(data: bytes) -> tuple[dict[int, int], str]:
+    """Tag -> value of the single whole numbers in the first folder of a TIFF, none if it is damaged; its byte order."""
+    order = {b"II*\0": "<", b"MM\0*": ">"}.get(data[:4], "")
+    if not order or len(data) < 8:
+        return {}, order
+    return _entries(data, struct.unpack_from(order + "I", data, 4)[0], order), order
 
 
 def _entries(data: bytes, at: int, order: str) -> dict[int, int]:

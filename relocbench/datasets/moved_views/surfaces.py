@@ -94,18 +94,6 @@ class Relief:
         return np.asarray(points.reshape(directions.shape))
 
 
-def plane_homography(camera_ref: Camera, camera_query: Camera, T_query_ref: Array, inverse: Array) -> Array:
-    """(3, 3) from pixels of the reference to those of the query, for points of a plane.
-
-    ``K_query (R + t n^T / d) K_ref^-1`` (Hartley and Zisserman, Multiple View Geometry, 2nd edition, 13.2).
-
-    Args:
-        inverse: (3,) n / d of the plane in the reference's frame.
-    """
-    moved = T_query_ref[:3, :3] + np.outer(T_query_ref[:3, 3], inverse)
-    return np.asarray(camera_query.matrix @ moved @ np.linalg.inv(camera_ref.matrix))
-
-
 def points_seen(surface: Surface, camera_query: Camera, T_query_ref: Array, pixels: Array) -> Array:
     """The points (..., 3), in the reference's frame, that the query sees at its pixels (..., 2); NaN if there is none.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,6 +18,7 @@ from relocbench.datasets.sensors.cloud_files import SUFFIXES, CloudFile, CloudFo
 from relocbench.datasets.sensors.cloud_poses import read_cloud_poses
 from relocbench.datasets.sensors.recording import Scan
 from relocbench.errors import DatasetError, quoted
+from relocbench.files import natural
 from relocbench.geometry import apply
 from relocbench.progress import Reporter
 
@@ -116,17 +116,12 @@ def cloud_files(folder: Path, pattern: str = "") -> list[Path]:
         raise DatasetError(
             f"holds {len(files)} clouds, more than {_MOST_SCANS}; give a short stretch, or --files", folder
         )
-    return sorted(files, key=lambda p: _natural(p.relative_to(folder)))
+    return sorted(files, key=lambda p: natural(str(p.relative_to(folder))))
 
 
 def _is_text(path: Path) -> bool:
     """Whether a file may as well be a list of poses or times as a cloud."""
     return path.suffix.lower() in (".txt", ".csv")
-
-
-def _natural(path: Path) -> list[tuple[int, int, str]]:
-    parts = re.split(r"([0-9]+)", str(path))
-    return [(0, int(part), part) if part.isdigit() and part.isascii() else (1, 0, part) for part in parts]
 
 
 def read_clouds(files: Sequence[Path], reading: Reading, reporter: Reporter) -> list[Side]:

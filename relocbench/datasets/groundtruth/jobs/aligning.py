@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from relocbench.arrays import Array
+from relocbench.datasets.core.build import work
 from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, FirstPose, register_drives
 from relocbench.datasets.groundtruth.calibration.correction import corrected
 from relocbench.datasets.groundtruth.calibration.estimation import CalibrationEvidence, calibration_evidence
@@ -38,7 +39,7 @@ from relocbench.datasets.groundtruth.submaps.drive import Drive, make_drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.errors import DatasetError, raise_all
-from relocbench.execution import Run, run_units
+from relocbench.execution import Run
 from relocbench.progress import Reporter
 
 _MOST_CORRECTIONS = 3
@@ -184,9 +185,7 @@ def _evidence(
         path = at.registrations[query.name].parent / "calibration" / f"{drives[0].name}__{query.name}.npz"
         units.append(_EvidenceUnit(drives[0], query, tuple(registrations[query.name]), sensors, path.resolve()))
     missing = [unit for unit in units if not unit.path.exists()]
-    with reporter.stage("calibration of lidars", len(missing)) as advance:
-        for _ in run_units(_gather, missing, run):
-            advance(1)
+    work("calibration of lidars", _gather, missing, run, reporter)
     # Always use the file, so that a fresh build and a resumed one use the same numbers.
     return [
         read_evidence(unit.path, sensors.unknowns, len(unit.reference.nodes) + len(unit.query.nodes)) for unit in units

@@ -22,6 +22,8 @@ _OF_OWN_RECIPE = ("matcher", "icp", "calibration", "max_sigma", "max_sigma_rotat
 class FieldOptions(ImportOptions):
     """The options of the build that a user can set."""
 
+    LATER = ("recipe", "scale")
+
     cameras: tuple[str, ...] = Field(
         (),
         description="cameras whose images are paired, or none for poses of the rig; default: the first one, if any",
@@ -76,11 +78,9 @@ class FieldOptions(ImportOptions):
         return self
 
     def recorded(self) -> dict[str, Any]:
-        """The options as versions had it that did not know all of them: without those that the recipe does not use, and
-        without a scale that is measured."""
-        unused = {"recipe"} if self.recipe == "own" else set(_OF_OWN_RECIPE)
-        unused |= {"scale"} if self.scale == "auto" else set()
-        return self.model_dump(mode="json", exclude=unused)
+        """The options without those that the recipe does not use."""
+        unused = () if self.recipe == "own" else _OF_OWN_RECIPE
+        return {name: value for name, value in super().recorded().items() if name not in unused}
 
     @property
     def without_images(self) -> bool:

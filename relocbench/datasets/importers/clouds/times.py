@@ -11,7 +11,7 @@ from pathlib import Path
 from relocbench.datasets.sensors.numbered_rows import read_numbered_times
 from relocbench.datasets.sensors.times import times_in_ns
 from relocbench.errors import DatasetError, quoted
-from relocbench.files import read_rows, whole_number
+from relocbench.files import natural, read_rows, whole_number
 
 TIME_FILES = ("times.txt", "timestamps.txt", "times.csv", "timestamps.csv")
 
@@ -33,7 +33,7 @@ def clouds_with_times(files: list[Path], folder: Path, rate_hz: float | None) ->
     Raises:
         DatasetError: with file and line: the times do not fit the clouds, are no times, or do not increase.
     """
-    ordered = sorted(files, key=_natural)
+    ordered = sorted(files, key=lambda path: natural(path.name))
     candidates = [place / name for place in (folder, ordered[0].parent) for name in TIME_FILES]
     table = next((path for path in candidates if path.is_file()), None)
     if table is not None:
@@ -62,12 +62,6 @@ def _places(files: Sequence[Path]) -> list[int]:
     if not step:
         return list(range(len(files)))
     return [(number - known[0]) // step for number in known]
-
-
-def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
-    """A key that puts 2 before 10."""
-    parts = re.split(r"([0-9]+)", path.name)
-    return [(int(part), "") if part.isdigit() and part.isascii() else (-1, part) for part in parts], path.name
 
 
 def _from_table(files: list[Path], table: Path) -> tuple[Timed, str]:

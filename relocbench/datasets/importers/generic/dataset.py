@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -43,18 +43,13 @@ _ONLY_CAMERA = "cam0"
 class Options(ClockOptions):
     """Options of the generic importer."""
 
+    LATER = ("time_offset",)
+
     max_pose_gap: float = Field(
         1.0,
         gt=0,
         description="longest gap in seconds between two poses to interpolate over; images in longer gaps have no pose",
     )
-
-    def recorded(self) -> dict[str, Any]:
-        """The options, without an offset that the images tell: as earlier versions had it."""
-        values = super().recorded()
-        if self.time_offset == ("estimate",):
-            del values["time_offset"]
-        return values
 
 
 class GenericCamera(CameraEntry):

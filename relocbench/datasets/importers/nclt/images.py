@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -13,12 +12,12 @@ import numpy as np
 from relocbench.arrays import Floats, Image
 from relocbench.datasets.core.image_header import MOST_FILE_BYTES
 from relocbench.datasets.core.images import ExpectedSize
+from relocbench.datasets.moved_views.exif import tiff_entries
 from relocbench.datasets.sensors.image_files import ConvertedImages, remapped
 from relocbench.errors import DatasetError
 from relocbench.files import read_bytes
 
 _MOST_TABLE_BYTES = 2**28
-_TIFF = {b"II*\0": "<", b"MM\0*": ">"}
 _WIDTH, _HEIGHT = 256, 257
 
 
@@ -48,21 +47,11 @@ def read_tiff(path: Path, expected: ExpectedSize) -> Image:
 
 
 def tiff_size(data: bytes, path: Path) -> tuple[int, int]:
-    """Width and height by the first directory of a TIFF. Raises DatasetError if there is none."""
-    order = _TIFF.get(data[:4])
-    try:
-        if order is None:
-            raise ValueError
-        (at,) = struct.unpack_from(f"{order}I", data, 4)
-        (count,) = struct.unpack_from(f"{order}H", data, at)
-        tags = {}
-        for k in range(count):
-            tag, kind, _ = struct.unpack_from(f"{order}HHI", data, at + 2 + 12 * k)
-            if tag in (_WIDTH, _HEIGHT):
-                (tags[tag],) = struct.unpack_from(f"{order}{'H' if kind == 3 else 'I'}", data, at + 10 + 12 * k)
-        return tags[_WIDTH], tags[_HEIGHT]
-    except (struct.error, ValueError, KeyError):
-        raise DatasetError("is damaged or not a TIFF image", path) from None
+    """Width and height by the first directory of a TIFF. Raises DatasetError if it does not tell them."""
+    tags, _ = tiff_entries(data)
+    if _WIDTH not in tags or _HEIGHT not in tags:
+        raise DatasetError("is damaged or not a TIFF image", path)
+    return tags[_WIDTH], tags[_HEIGHT]
 
 
 @lru_cache(maxsize=6)

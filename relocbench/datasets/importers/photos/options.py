@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from pydantic import Field
 
@@ -15,7 +15,6 @@ class PhotoOptions(PosedRecordingOptions):
     """Options of imports of photo collections."""
 
     PATHS: ClassVar[tuple[str, ...]] = ("pairs",)
-    """the options that name folders and files"""
 
     queries: tuple[str, ...] = Field(
         (),
@@ -28,10 +27,6 @@ class PhotoOptions(PosedRecordingOptions):
     metres_per_unit: float = Field(1.0, gt=0, description="length of the model's unit; a model knows it up to scale")
     min_track: int = Field(2, ge=1, description="points that fewer images observe are left out")
     noise_px: float = Field(0.5, gt=0, description="least standard deviation of a keypoint in pixels")
-
-    def recorded(self) -> dict[str, Any]:
-        """The options without folders and files, which are sources; what they hold is in the dataset."""
-        return {key: value for key, value in super().recorded().items() if key not in self.PATHS}
 
     @property
     def paths(self) -> list[Path]:

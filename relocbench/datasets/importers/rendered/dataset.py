@@ -44,16 +44,17 @@ if TYPE_CHECKING:
 
 _RECORDING_FRAMES = 160
 """default of ``steps`` for recordings, unless a preset sets it"""
-_LATER_OPTIONS = (
-    *("imaging", "months", "people", "route", "views", "rolling_shutter", "min_distance", "min_angle"),
-    *("camera_pairs", "tier", "pairs", "repeating_street"),
-    *("depth", "depth_points", "depth_error"),
-)
-"""options that earlier versions did not have, and whose defaults change nothing"""
 
 
 class Options(RuleOptions):
     """Options of ``relocbench build-dataset synthetic``; the preset sets the others' defaults."""
+
+    LATER = (
+        *("imaging", "months", "people", "route", "views", "rolling_shutter", "min_distance", "min_angle"),
+        *("camera_pairs", "tier", "pairs", "repeating_street"),
+        *("depth", "depth_points", "depth_error"),
+    )
+    PATHS = ("salt_file",)
 
     preset: Literal["smoke", "demo", "carla", "oxford"] = Field(
         "demo", description="defaults of the other options; those that this help shows are demo's"
@@ -233,15 +234,6 @@ class Options(RuleOptions):
             option = "tier" if self.tier is not None else "pairs"
             raise ValueError(f"elsewhere exchanges queries of all pairs, of which {option} keeps only some")
         return self
-
-    def recorded(self) -> dict[str, Any]:
-        """The options without the salt's file, and without later ones at their defaults: as earlier versions."""
-        values = super().recorded()
-        del values["salt_file"]
-        for name in _LATER_OPTIONS:
-            if getattr(self, name) == type(self).model_fields[name].default:
-                del values[name]
-        return values
 
     @property
     def width_height(self) -> tuple[int, int]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 from pydantic import Field, model_validator
 
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 class Options(ImportOptions):
     """Options of ``relocbench build-dataset photographs``."""
+
+    PATHS = ("salt_file",)
 
     name: str = Field("", description="name of the dataset; default: made from the folders")
     licence: str = Field("unknown", description="licence of the photographs, kept in dataset.yaml")
@@ -83,10 +85,6 @@ class Options(ImportOptions):
             if not values or len(set(values)) != len(values):
                 raise ValueError(f"{name} must hold at least one, and each once")
         return self
-
-    def recorded(self) -> dict[str, Any]:
-        """The options without the salt's file."""
-        return self.model_dump(mode="json", exclude={"salt_file"})
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:

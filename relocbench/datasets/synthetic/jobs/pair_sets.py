@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from relocbench.datasets.core.build import Build
+from relocbench.datasets.core.build import Build, work
 from relocbench.datasets.core.build_options import RuleOptions
 from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pairfile import Pair, PairKey
@@ -28,7 +28,6 @@ from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs
 from relocbench.datasets.synthetic.jobs.plan import TraversalPlan
 from relocbench.datasets.synthetic.jobs.selection import Selection, on_repeating_street, sorted_by_street
 from relocbench.errors import DatasetError
-from relocbench.execution import run_units
 
 _WORTH_WORKERS = 600
 """pairs; fewer are finished before other processes have made their districts"""
@@ -110,9 +109,7 @@ def write_pair_sets(job: Build[RuleOptions], planned: Sequence[PairSetUnit]) -> 
         if not is_finished(unit.layout, unit.name, unit.pairs, with_correspondences=unit.count > 0, some=some):
             units.append(unit)
     run = job.run if sum(len(u.pairs) for u in units) >= _WORTH_WORKERS else job.run.single_process()
-    with job.reporter.stage("pairs and their correspondences", len(units)) as advance:
-        for _ in run_units(write_set, units, run):
-            advance(1)
+    work("pairs and their correspondences", write_set, units, run, job.reporter)
     splits: dict[str, list[str]] = {}
     for unit in planned:
         if unit.layout.pair_file(unit.name).stat().st_size:
