@@ -37,7 +37,8 @@ encoder, ImageNet; that of lm-net rendered towns only, ALIKED's its authors' pho
 recordings of this page in view: dso's cutoff, on KITTI 06, and where gn-net begins to align from its matches and when
 it declines, among others on oxford and frankfurt ([ledger](../LEDGER.md)). gn-net, gn-net-from-prior and
 gn-net-contrastive also try starts up to 10 m ahead and behind along the road, which suits cameras that drive; the
-others do not. Right is an answer within 0.25 m and 2 degrees, as a share of all pairs; an interval stands where the leaderboard has one, which needs ten independent pairs. A refusal is a pair
+others do not. Right is an answer within 0.25 m and 2 degrees, as a share of all pairs; an interval stands where the
+leaderboard has one, which needs ten independent pairs. A refusal is a pair
 without an answer, and its error is infinite in the medians. Sure are answers with a confidence of 0.5 or more, for
 trackers that state one. Seconds are medians a pair while other work ran; `benchmarks/speed/trackers.py` compares them.
 The floors see no image: identity stays at the keyframe's pose, clock fits the motion to the times. A steady drive gives
