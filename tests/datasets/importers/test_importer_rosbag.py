@@ -23,7 +23,10 @@ from relocbench.datasets.importers.rosbag.writing import Storage, write_bag
 from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.errors import ConfigError
 
-AS_ROBOTCAR = ("--gnss", "/gnss/pose", "--max-range", 50, "--min-range", 0.1, "--lidar-sigma", 0.012, "--max-gap", 0.5)
+AS_ROBOTCAR = (
+    *("--gnss", "/gnss/pose", "--max-range", 50, "--min-range", 0.1),
+    *("--lidar-sigma", 0.012, "--max-pose-gap", 0.5),
+)
 STORAGES: tuple[Storage, ...] = get_args(Storage)
 
 
