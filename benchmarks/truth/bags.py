@@ -8,6 +8,7 @@ differs by more than one in the last of the nine decimals that files hold.
     python benchmarks/truth/bags.py [RECORDINGS] [--steps N] [--bags FOLDER]
 
 ``--bags`` keeps the bags, to try ``relocbench inspect`` and ``relocbench build-dataset rosbag`` on them.
+A drive of RECORDINGS has to fit into memory.
 """
 
 from __future__ import annotations
@@ -25,10 +26,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "support"))
 
 from command_line import relocbench
+from made_bags import Storage, write_bag
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.robotcar.recording import read_robotcar_drives
-from relocbench.datasets.importers.rosbag.writing import Storage, write_bag
 
 _CAMERA = "stereo_left"
 _COMMON = ("--keyframe-distance", 2, "--query-distance", 3, "--correspondences", 100, "-j", 1)

@@ -94,7 +94,6 @@ def test_all_pairs_of_a_folder_are_compared_with_a_graph(real_data: FindData) ->
         (("a.npy", "empty"), "empty: no file is a point cloud"),
         (("a.npy", "a.npy", "--initial", "1 2 3"), "expected 'tx ty tz qx qy qz qw', found 3 numbers"),
         (("a.npy", "a.npy", "--initial", "0 0 0 0 0 0 2"), "--initial: quaternion qx qy qz qw has norm 2"),
-        (("a.npy", "a.npy", "--scale", "2", "--voxel", "0.1"), "--scale and --voxel say the same"),
         (("a.npy", "a.npy", "--save-cloud"), "--save-cloud writes into the folder of --out"),
         (("a.npy", "a.npy", "--poses", "a.npy"), "--poses is given 1 times, but 0 of A and B are folders"),
         (("a.npy", "picture.png"), "picture.png: is not a point cloud by its name"),

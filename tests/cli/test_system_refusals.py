@@ -26,8 +26,6 @@ from baselines.training.checkpoint import Checkpoint, save_checkpoint
 from relocbench.datasets.core import images
 from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.pairs.correspondence_file import read_correspondences, write_correspondences
-from relocbench.datasets.synthetic.jobs.estimates import Spent
-from relocbench.datasets.synthetic.jobs.rendering import estimate
 from relocbench.errors import DatasetError
 from relocbench.evaluation.isolation.journal import journal_entries, open_journal
 from relocbench.files import plain_file, read_text, sha256_file, write_text
@@ -98,7 +96,7 @@ def answers(out: Path) -> bytes:
         ["build-dataset", "synthetic", "--out", "LOOP"],
         ["build-dataset", "synthetic", "--recording", "kitti", "--out", "LOOP"],
         ["build-dataset", "cross-view", "--out", "LOOP"],
-        ["preview", "--condition", "Sunny", "--size", "64", "--quiet", "--out", "LOOP/x.png"],
+        ["preview", "--conditions", "Sunny", "--size", "64", "--quiet", "--out", "LOOP/x.png"],
         ["train", "gn-net", "-d", "LOOP", "--out", "trained"],
         ["train", "gn-net", "-d", "data", "--out", "LOOP"],
     ],
@@ -403,10 +401,6 @@ def test_two_journals_of_one_moment_are_two_files(tmp_path: Path, odd_clock: Non
         first.write('{"key": [1, 2]}\n')
         second.write('{"key": [3, 4]}\n')
     assert sorted(entry["key"] for entry in journal_entries(tmp_path)) == [(1, 2), (3, 4)]
-
-
-def test_an_estimate_by_a_clock_that_stands_still_is_no_division_by_zero() -> None:
-    assert "0 images are left to render: about 0 s at an unknown rate" in estimate([Spent(3, 0.0, 0.0, 10)], [], 1)
 
 
 def test_a_missing_file_is_left_to_whoever_opens_it(tmp_path: Path) -> None:

@@ -1,11 +1,11 @@
-"""Small bags, written by the package rosbags message by message: ``from made_bags import Bag``."""
+"""Bags, written by the package rosbags message by message: ``from made_bags import Bag``."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,8 +14,17 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from relocbench.arrays import Array
+from relocbench.datasets.importers.rosbag.motion import GeodeticOrigin
+from relocbench.datasets.sensors.geodesy import ECCENTRICITY2, prime_vertical_radius
+from relocbench.datasets.sensors.recording import FieldRecording
+from relocbench.geometry import transform_to_tq
+
 CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 SECOND = 10**9
+Storage = Literal["rosbag1", "rosbag2", "mcap"]
+ORIGIN = GeodeticOrigin(51.75, -1.26, 60.0)
+"""where the map of a recording is put on the globe"""
 
 
 class Bag:
@@ -231,3 +240,59 @@ class Bag:
                 writer.add_message(channel, self.rows[0][0], content, self.rows[0][0])
             writer.finish()  # type: ignore[no-untyped-call]
         return path
+
+
+def write_bag(recording: FieldRecording, path: Path, storage: Storage = "rosbag1") -> None:
+    """Write a recording as a bag, without loss; its messages are held in memory.
+
+    Topics: ``/LIDAR/points`` (with the nanoseconds ``t`` of each point after the stamp), ``/CAMERA/image_raw``,
+    ``/CAMERA/camera_info``, ``/odometry``, ``/gnss/pose`` (in the map of the prior), ``/gnss/fix`` and ``/tf_static``.
+    """
+    bag = Bag(storage == "rosbag1")
+    mounts = {lidar.name: lidar.T_rig_lidar for lidar in recording.lidars}
+    mounts |= {f"{name}_optical": camera.T_rig_cam for name, camera in recording.cameras.items()}
+    first = min(int(lidar.times_ns[0]) for lidar in recording.lidars)
+    bag.tf(first, *(("base_link", frame, _numbers(T)) for frame, T in mounts.items()))
+    for lidar in recording.lidars:
+        for index, time in enumerate(lidar.times_ns.tolist()):
+            scan = lidar.read(index)
+            points = np.zeros(len(scan.points), [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("t", "<i4")])
+            points["x"], points["y"], points["z"] = scan.points.T
+            points["t"] = scan.times_ns - time
+            bag.cloud(f"/{lidar.name}/points", time, points, lidar.name)
+    for name, camera in recording.cameras.items():
+        frame, K = f"{name}_optical", camera.camera.matrix.ravel().tolist()
+        for index, time in enumerate(camera.times_ns.tolist()):
+            picture = camera.read(index)
+            bag.image(f"/{name}/image_raw", time, picture, "mono8" if picture.ndim == 2 else "rgb8", frame)
+            size = picture.shape[1], picture.shape[0]
+            bag.info(f"/{name}/camera_info", time, size, K=K, header=bag.header(time, frame))
+    for time, T in zip(recording.odometry.times_ns.tolist(), recording.odometry.T_odom_rig, strict=True):
+        bag.odometry("/odometry", time, _numbers(T))
+    if recording.prior is not None:
+        T_map_rig = recording.prior.T_odom_rig
+        places = latitude_longitude(T_map_rig[:, :3, 3], ORIGIN).tolist()
+        for time, T, place in zip(recording.prior.times_ns.tolist(), T_map_rig, places, strict=True):
+            bag.pose_stamped("/gnss/pose", time, _numbers(T))
+            bag.fix("/gnss/fix", time, place)
+    bag.write(path, storage)
+
+
+def _numbers(T: Array) -> list[float]:
+    """tx, ty, tz, qx, qy, qz, qw"""
+    return [*map(float, np.concatenate(transform_to_tq(T)))]
+
+
+def latitude_longitude(enu: Array, origin: GeodeticOrigin) -> Array:
+    """Latitudes and longitudes in degrees and altitudes in metres (N, 3) of positions (N, 3): the inverse.
+
+    Latitude and altitude by fixed-point iteration, which gains more than two digits a step near the ground.
+    """
+    x, y, z = (origin.ecef + enu @ origin.R_enu_ecef).T
+    level = np.hypot(x, y)
+    phi, height = np.arctan2(z, level * (1 - ECCENTRICITY2)), np.zeros(len(x))
+    for _ in range(8):
+        normal = prime_vertical_radius(phi)
+        height = level / np.cos(phi) - normal
+        phi = np.arctan2(z, level * (1 - ECCENTRICITY2 * normal / (normal + height)))
+    return np.column_stack([np.degrees(phi), np.degrees(np.arctan2(y, x)), height])

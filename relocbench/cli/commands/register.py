@@ -96,10 +96,6 @@ def register(
             rich_help_panel=_METHOD,
         ),
     ] = "",
-    prior_free: Annotated[
-        bool,
-        typer.Option("--prior-free", help="Search without a start (the default).", rich_help_panel=_METHOD),
-    ] = False,
     scale: Annotated[
         float | None,
         typer.Option(
@@ -107,15 +103,6 @@ def register(
             max=1e4,
             metavar="FACTOR",
             help="Enlarge the scene so many times to the size of a street [default: by its size and noise].",
-            rich_help_panel=_METHOD,
-        ),
-    ] = None,
-    voxel: Annotated[
-        float | None,
-        typer.Option(
-            min=1e-6,
-            metavar="METRES",
-            help="The same by the size of the voxels in which one point is kept (0.1 m in a street).",
             rich_help_panel=_METHOD,
         ),
     ] = None,
@@ -154,17 +141,12 @@ def register(
     from relocbench.datasets.sensors.cloud_files import CloudFormat
     from relocbench.errors import ConfigError
 
-    if prior_free and initial:
-        raise ConfigError("--prior-free searches without a start; --initial gives one")
-    if scale is not None and voxel is not None:
-        raise ConfigError("--scale and --voxel say the same in two ways; give one of them")
     if save_cloud and out is None:
         raise ConfigError("--save-cloud writes into the folder of --out, which is not given")
     if len(poses) > (1 if b is None else 2):
         raise ConfigError(f"--poses is given {len(poses)} times; expected once for each folder")
     reading = Reading(CloudFormat(dtype, columns, tuple(setup)), sensor, files)
-    factor = scale if voxel is None else 0.1 / voxel
-    options = CloudRegistrationOptions(matcher, icp, seed, factor, _pose(initial) if initial else None)
+    options = CloudRegistrationOptions(matcher, icp, seed, scale, _pose(initial) if initial else None)
     progress = reporter(quiet)
     if b is None:
         trusted = _all_pairs(a, poses, reading, options, out, initial, progress, json=json)

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import relocbench
-from made_bags import SECOND, Bag
+from made_bags import SECOND, Bag, latitude_longitude
 from numpy.typing import NDArray
 from refusals import ErrorData, Notes, noted, refused
 
@@ -23,7 +23,7 @@ from relocbench.datasets.core.schema import Transform
 from relocbench.datasets.groundtruth.odometry.deferred import computed, is_pending, later
 from relocbench.datasets.importers.rosbag.bag import Part, parts_of
 from relocbench.datasets.importers.rosbag.extrinsics import read_extrinsics
-from relocbench.datasets.importers.rosbag.motion import GeodeticOrigin, east_north_up, latitude_longitude
+from relocbench.datasets.importers.rosbag.motion import GeodeticOrigin, east_north_up
 from relocbench.datasets.importers.rosbag.reading import BagSettings
 from relocbench.datasets.importers.rosbag.recording import open_bag, read_bag
 from relocbench.datasets.importers.rosbag.roles import Wanted

@@ -28,10 +28,9 @@ from relocbench.datasets.synthetic.drives.passers import passers
 from relocbench.datasets.synthetic.drives.rig import RIGS
 from relocbench.datasets.synthetic.drives.traffic import on_the_road
 from relocbench.datasets.synthetic.jobs import scenes
-from relocbench.datasets.synthetic.jobs.estimates import Spent, duration
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs
 from relocbench.datasets.synthetic.jobs.plan import AskedDrives, evaluated_drives, make_plans
-from relocbench.datasets.synthetic.jobs.rendering import FrameWork, RenderUnit, StepWork, estimate, extra_path
+from relocbench.datasets.synthetic.jobs.rendering import extra_path
 from relocbench.datasets.synthetic.renderer.render import Renderer
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
 from relocbench.datasets.synthetic.town.moving import Kind, moves, moving_mesh
@@ -39,7 +38,7 @@ from relocbench.datasets.synthetic.town.streets import KERB_M
 from relocbench.datasets.synthetic.town.town import compose
 from relocbench.errors import DatasetError
 from relocbench.execution import Run
-from relocbench.geometry import Camera, apply, invert, is_rotation, rotation_angle
+from relocbench.geometry import apply, invert, is_rotation, rotation_angle
 from relocbench.progress import Silent
 
 SMOKE = {"preset": "smoke", "extras": ("changed", "instance", "semantic", "normals")}
@@ -458,20 +457,9 @@ def test_mistakes_are_named(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_the_estimate_counts_what_is_left() -> None:
-    spent = [Spent(files=9, setup_s=10.0, seconds=4.0, bytes=9_000_000)] * 2
-    camera = Camera("pinhole", 32, 32, 30, 30, 15.5, 15.5)
-    frame = FrameWork(camera, np.eye(4), 0, {"image": Path("x")})
-    sunny = condition_named("Sunny").factors
-    unit = RenderUnit(PLACE, sunny, sunny, (StepWork((), (frame,) * 1000),))
-    # 1000 images of half a second on two workers, and one scene to make ready.
-    assert "about 4 min at 4.0 images/s with 2 workers, 1.0 GB" in estimate(spent, [unit], 2)
-    assert duration(3 * 3600) == "3.0 h"
-
-
 def test_a_preview_that_cannot_be_written_is_not_rendered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet.contact_sheet", None)
-    told = relocbench("preview", "-c", "Sunny", "--out", tmp_path)
+    told = relocbench("preview", "--conditions", "Sunny", "--out", tmp_path)
     assert (told.status, told.complaint) == (2, f"relocbench: {tmp_path}: Is a directory")
     assert list(tmp_path.iterdir()) == []
 
@@ -480,7 +468,7 @@ def test_a_preview_that_cannot_be_written_is_not_rendered(tmp_path: Path, monkey
 @pytest.mark.usefixtures("small_preview")
 def test_a_preview_has_a_picture_for_each_condition(tmp_path: Path) -> None:
     sheet = tmp_path / "sheet.png"
-    outcome = relocbench("preview", "-c", "Sunny,Snow", "--size", "96x72", "--out", sheet, "--quiet")
+    outcome = relocbench("preview", "--conditions", "Sunny,Snow", "--size", "96x72", "--out", sheet, "--quiet")
     assert outcome.status == 0, outcome.err
     picture = images.read_image(sheet)
     assert picture.shape == (72, 2 * 96 + 4, 3)

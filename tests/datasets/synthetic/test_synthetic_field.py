@@ -6,7 +6,6 @@ import csv
 import json
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,12 +18,9 @@ from refusals import assert_names
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.synthetic.conditions.condition import Factors, condition_named
+from relocbench.datasets.synthetic.conditions.condition import condition_named
 from relocbench.datasets.synthetic.drives.drive import MARGIN_M, DriveStyle, drive, route_length
 from relocbench.datasets.synthetic.drives.routes import RouteName, route
-from relocbench.datasets.synthetic.jobs import recording_jobs
-from relocbench.datasets.synthetic.jobs.estimates import Spent
-from relocbench.datasets.synthetic.jobs.recording_work import Unit
 from relocbench.datasets.synthetic.lidar.lidar import LidarScene
 from relocbench.datasets.synthetic.town.network import LANE_M, StreetNetwork, make_network
 from relocbench.datasets.synthetic.town.network import Path as Route
@@ -328,12 +324,3 @@ def test_nobody_brakes_harder_than_two_metres_per_second_squared(seed: int, step
     assert np.abs(np.diff(along, 2)).max() * 100 <= 2.0 + 1e-6
     assert along[-1] - along[0] == pytest.approx((steps - 1) * speed / 10)
     assert along[-1] < route_length(steps, style)
-
-
-def test_the_estimate_counts_what_is_left() -> None:
-    stage = SimpleNamespace(district=Path("d"), factors=Factors())
-    rest = [Unit(stage, [("image_0", i)] * 8) for i in range(50)]  # type: ignore[arg-type]
-    spent = [Spent(files=9, setup_s=10.0, seconds=4.0, bytes=9_000_000)] * 2
-    # 400 images of half a second on two workers, and one scene to make ready.
-    assert recording_jobs.estimate("images", spent, rest, 2) == "400 images, about 2 min with 2 workers, 0.4 GB"
-    assert recording_jobs.estimate("scans", [], rest, 1) == "400 scans"

@@ -12,7 +12,6 @@ from relocbench.datasets.cross_view.rendered.details import with_aerial_details
 from relocbench.datasets.cross_view.rendered.plan import Photo, Views
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.jobs import scenes
-from relocbench.datasets.synthetic.jobs.estimates import Spent, duration, rate, workers_text
 from relocbench.datasets.synthetic.jobs.latest import latest
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.renderer.render import Renderer, Surroundings
@@ -24,7 +23,6 @@ from relocbench.progress import Reporter
 _IMAGES_PER_UNIT = 96
 """many, because preparing another town or condition takes as long as rendering dozens of images"""
 _WORTH_WORKERS = 12
-_WORTH_AN_ESTIMATE = 200
 _FOG_OPTICAL_DEPTH = 1.0
 """greatest optical depth of fog at the flight's farthest point; nobody would fly in denser fog"""
 
@@ -67,26 +65,18 @@ def render_missing(
         for part in chunks(list(group), _IMAGES_PER_UNIT):
             units.append(PhotoUnit(root, views, conditions[condition], tuple(part)))
     run = run if len(missing) >= _WORTH_WORKERS else run.single_process()
-    done_before: list[Spent] = []
     with reporter.stage("rendering", len(missing)) as advance:
-        for _, spent in run_units(render_unit, units, run):
-            advance(spent.files)
-            done_before.append(spent)
-            if len(done_before) == min(run.workers, len(units)) and len(missing) >= _WORTH_AN_ESTIMATE:
-                reporter.note(_estimate(done_before, len(missing), len(units), run.workers))
+        for _, count in run_units(render_unit, units, run):
+            advance(count)
 
 
-def render_unit(unit: PhotoUnit) -> Spent:
-    """Render and write the images of a unit."""
-
-    def write(photo: Photo) -> int:
+def render_unit(unit: PhotoUnit) -> int:
+    """Render and write the images of a unit; returns their number."""
+    for photo in unit.photos:
         renderer = renderer_of(photo.town, unit.condition, seen_by(photo.view, unit.condition, unit.views))
         frame = renderer.render(unit.views.optics.camera(photo.view), photo.T_world_cam, photo.seed)
-        path = unit.root / photo.keys[0]
-        images.write_image(path, frame.rgb)
-        return path.stat().st_size
-
-    return Spent.on(map(write, unit.photos))
+        images.write_image(unit.root / photo.keys[0], frame.rgb)
+    return len(unit.photos)
 
 
 def renderer_of(town: DistrictSpec, condition: Factors, seen: Factors) -> Renderer:
@@ -103,17 +93,3 @@ def renderer_of(town: DistrictSpec, condition: Factors, seen: Factors) -> Render
         return Renderer(mesh, seen, district.lamps, town.seed, Surroundings(make_sky(seen, town.seed), skylight))
 
     return latest("aerial renderer", (town, seen), make)
-
-
-def _estimate(spent: Sequence[Spent], total: int, units: int, workers: int) -> str:
-    measured = sum(max(s.files - 1, 0) for s in spent)
-    left = total - sum(s.files for s in spent)
-    if not measured or not left:
-        return f"{left} images are left to render"
-    per_image = sum(s.seconds for s in spent) / measured
-    setup = sum(s.setup_s for s in spent) / len(spent)
-    seconds = (left * per_image + (units - len(spent)) * setup) / workers
-    return (
-        f"{left} images are left to render: about {duration(seconds)} with {workers_text(workers)}, "
-        f"{rate(1, per_image)} each once a town is prepared, which takes {duration(setup)}"
-    )

@@ -8,7 +8,7 @@ import numpy as np
 
 from relocbench.arrays import Array, Times
 from relocbench.datasets.importers.rosbag.index import Fixes
-from relocbench.datasets.sensors.geodesy import ECCENTRICITY2, R_enu_ecef, ecef_from_geodetic, prime_vertical_radius
+from relocbench.datasets.sensors.geodesy import R_enu_ecef, ecef_from_geodetic
 from relocbench.datasets.sensors.pose_tables import PoseTable
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.geometry import make_transform, path_lengths, transform_from_tq
@@ -56,21 +56,6 @@ def east_north_up(values: Array, origin: GeodeticOrigin) -> Array:
     """
     difference = ecef_from_geodetic(values) - origin.ecef
     return np.asarray(difference @ origin.R_enu_ecef.T)
-
-
-def latitude_longitude(enu: Array, origin: GeodeticOrigin) -> Array:
-    """Latitudes and longitudes in degrees and altitudes in metres (N, 3) of positions (N, 3): the inverse.
-
-    Latitude and altitude by fixed-point iteration, which gains more than two digits a step near the ground.
-    """
-    x, y, z = (origin.ecef + enu @ origin.R_enu_ecef).T
-    level = np.hypot(x, y)
-    phi, height = np.arctan2(z, level * (1 - ECCENTRICITY2)), np.zeros(len(x))
-    for _ in range(8):
-        normal = prime_vertical_radius(phi)
-        height = level / np.cos(phi) - normal
-        phi = np.arctan2(z, level * (1 - ECCENTRICITY2 * normal / (normal + height)))
-    return np.column_stack([np.degrees(phi), np.degrees(np.arctan2(y, x)), height])
 
 
 def in_order(times_ns: Times) -> Times:

@@ -7,7 +7,6 @@ import secrets
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import starmap
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -15,7 +14,6 @@ import numpy as np
 
 from relocbench.arrays import Array, Image
 from relocbench.datasets.synthetic.conditions.condition import Factors
-from relocbench.datasets.synthetic.jobs.estimates import Spent
 from relocbench.datasets.synthetic.jobs.latest import Reusable, forget_all, latest, latest_renderer
 from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, SensorMotion, TrueTrajectory, cars_at
 from relocbench.datasets.synthetic.lidar import lidar
@@ -112,10 +110,10 @@ def _district(drive: DriveContext) -> Any:
     return latest("district", drive.district, lambda: pickle.loads(drive.district.read_bytes()))
 
 
-def write_images(unit: Unit) -> Spent:
+def write_images(unit: Unit) -> int:
+    """Render and write the images of a unit; returns their number."""
     drive, layout = unit.drive, unit.drive.layout
-
-    def write(camera: str, index: int) -> int:
+    for camera, index in unit.work:
         moment = int(layout.times[camera][index])
         present = cars_at(drive.tracks, moment)
         renderer = _renderer(drive, present)
@@ -125,9 +123,7 @@ def write_images(unit: Unit) -> Spent:
         picture = renderer.render(mount.camera, pose, int(number.generate_state(1)[0]))
         path = layout.path(camera, index)
         layout.write_image(camera, path, picture.rgb)
-        return path.stat().st_size
-
-    return Spent.on(starmap(write, unit.work))
+    return len(unit.work)
 
 
 def _renderer(drive: DriveContext, present: Sequence[Moving]) -> FrameRenderer:
@@ -138,7 +134,8 @@ def _renderer(drive: DriveContext, present: Sequence[Moving]) -> FrameRenderer:
     return latest_renderer((drive.district, drive.factors), present, make)
 
 
-def write_scans(unit: Unit) -> Spent:
+def write_scans(unit: Unit) -> int:
+    """Simulate and write the scans of a unit; returns their number."""
     drive, layout = unit.drive, unit.drive.layout
     scene = latest(
         "scene",
@@ -146,8 +143,7 @@ def write_scans(unit: Unit) -> Spent:
         lambda: lidar.LidarScene(drive.compose(_district(drive), drive.factors)),
     )
     others = latest("cars", (drive.district, drive.seed), lambda: _moving_objects(drive.tracks))
-
-    def write(sensor: str, index: int) -> int:
+    for sensor, index in unit.work:
         mount = layout.lidars[sensor]
         rng = np.random.default_rng([*drive.seed, 7, sorted(layout.lidars).index(sensor), index])
         motion = SensorMotion(drive.trajectory, mount.T_rig_lidar)
@@ -155,9 +151,7 @@ def write_scans(unit: Unit) -> Spent:
         points = lidar.compensate(mount.lidar, scan, motion) if mount.compensated else scan.points
         path = layout.path(sensor, index)
         layout.write_scan(path, points, scan.reflectance, scan.returned)
-        return path.stat().st_size
-
-    return Spent.on(starmap(write, unit.work))
+    return len(unit.work)
 
 
 def _moving_objects(tracks: Sequence[CarTrack]) -> list[lidar.MovingObject]:

@@ -1,8 +1,8 @@
-"""Rendering of a build's missing frames by workers, with an estimate of the time."""
+"""Rendering of a build's missing frames by workers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,21 +19,18 @@ from relocbench.datasets.synthetic.camera.rolling_shutter import Readout
 from relocbench.datasets.synthetic.camera.shot import Shot, camera_twists
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ
-from relocbench.datasets.synthetic.jobs import estimates, scenes
-from relocbench.datasets.synthetic.jobs.estimates import Spent
+from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.keyframe_depth import Keyframe, Scan
 from relocbench.datasets.synthetic.jobs.plan import TraversalPlan
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.map_depth.kinds import EXACT, MapDepth
 from relocbench.datasets.synthetic.renderer.render import Frame
 from relocbench.datasets.synthetic.town.moving import Moving
-from relocbench.execution import chunks
+from relocbench.execution import chunks, run_units
 from relocbench.files import write_bytes
 from relocbench.geometry import Camera
 
 _STEPS_A_UNIT = 8
-_WORTH_AN_ESTIMATE = 400
-"""images; fewer take too little time for an estimate"""
 _WORTH_WORKERS = 8
 """images; fewer are rendered before other processes have started"""
 _LIDAR = 1000
@@ -90,17 +87,14 @@ class RenderUnit:
 
 
 def render_all(job: Build[RuleOptions], plans: Sequence[TraversalPlan], kinds: Sequence[str]) -> None:
-    """Render what is missing; a long job is first timed on a few frames of each condition."""
+    """Render what is missing."""
     steps = [(plan, missing_steps(plan, job.writer.layout, job.options.seed, kinds)) for plan in plans]
     units = [_unit(plan, part) for plan, missing in steps for part in chunks(missing, _STEPS_A_UNIT)]
     total = sum(unit.images for unit in units)
     run = job.run if total >= _WORTH_WORKERS else job.run.single_process()
     with job.reporter.stage("rendering", total) as advance:
-        if total >= _WORTH_AN_ESTIMATE:
-            pilots, units = estimates.split_pilots(units, _scene)
-            spent = estimates.carried_out(render_unit, pilots, advance, run)
-            job.reporter.note(estimate(spent, units, run.workers))
-        estimates.carried_out(render_unit, units, advance, run)
+        for _, count in run_units(render_unit, units, run):
+            advance(count)
 
 
 def missing_steps(plan: TraversalPlan, layout: DatasetLayout, seed: int, kinds: Sequence[str]) -> list[StepWork]:
@@ -135,20 +129,16 @@ def _unit(plan: TraversalPlan, steps: Sequence[StepWork]) -> RenderUnit:
     return RenderUnit(plan.place, plan.condition.factors, plan.reference.factors, tuple(steps), plan.depth)
 
 
-def render_unit(unit: RenderUnit) -> Spent:
-    """Render and write the frames of a unit. The first includes making the district and its ray tree."""
-
-    def written() -> Iterator[int]:
-        for step in unit.steps:
-            renderer = scenes.renderer(unit.place, unit.factors, step.moving)
-            for work in step.frames:
-                own = work.T_world_vehicle, work.shot, work.distortion, work.readout
-                frame = renderer.render(work.camera, work.T_world_cam, work.seed, *own)
-                for kind, path in work.missing.items():
-                    _WRITERS[kind](path, frame, work, unit)
-                yield sum(path.stat().st_size for path in work.missing.values())
-
-    return Spent.on(written())
+def render_unit(unit: RenderUnit) -> int:
+    """Render and write the frames of a unit; returns their number."""
+    for step in unit.steps:
+        renderer = scenes.renderer(unit.place, unit.factors, step.moving)
+        for work in step.frames:
+            own = work.T_world_vehicle, work.shot, work.distortion, work.readout
+            frame = renderer.render(work.camera, work.T_world_cam, work.seed, *own)
+            for kind, path in work.missing.items():
+                _WRITERS[kind](path, frame, work, unit)
+    return unit.images
 
 
 def _write_changed(path: Path, frame: Frame, work: FrameWork, unit: RenderUnit) -> None:
@@ -171,24 +161,6 @@ _WRITERS: dict[str, Callable[[Path, Frame, FrameWork, RenderUnit], None]] = {
     "semantic": lambda path, frame, work, unit: images.write_image(path, frame.semantic),
     "changed": _write_changed,
 }
-
-
-def estimate(spent: Sequence[Spent], rest: Sequence[RenderUnit], workers: int) -> str:
-    """Time and disk space for the rest, extrapolated from the first images."""
-    left = sum(unit.images for unit in rest)
-    expected = estimates.remaining(spent, left, len({_scene(unit) for unit in rest}), workers)
-    size = f"{expected.gigabytes:.1f} GB"
-    if not expected.measured:
-        return f"{left} images are left to render, {size}"
-    time = f"{estimates.duration(expected.seconds)} at {estimates.rate(workers, expected.per_file_s)}"
-    return (
-        f"{left} images are left to render: about {time} with {estimates.workers_text(workers)}, {size} "
-        f"(measured on {expected.measured} images)"
-    )
-
-
-def _scene(unit: RenderUnit) -> tuple[DistrictSpec, Factors]:
-    return unit.place, unit.factors
 
 
 def extra_path(root: Path, traversal: str, kind: str, camera: str, timestamp_ns: int) -> Path:
