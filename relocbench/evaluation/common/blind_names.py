@@ -19,6 +19,7 @@ KIND = "blind"
 """``kind`` in ``made_by`` of a blind export"""
 _ID_CHARACTERS = 16
 _NAME = re.compile(rf"blind(?P<edition>[0-9]{{1,9}})-(?P<id>[0-9a-f]{{{_ID_CHARACTERS}}})")
+_UNSALTED = re.compile(r".+\.blind[0-9]{1,9}-[0-9a-f]{12}")
 _SEEDED = ("synthetic", "cross-view", "photographs")
 """kinds of datasets whose truth follows from the options, unless a salt went into it"""
 
@@ -36,9 +37,14 @@ class BlindName:
 
 
 def blind_name(name: str) -> BlindName | None:
-    """The parts of a blind export's name; None for the name of something else."""
+    """The parts of a blind export's name; None for the name of something else, or of an export without a salt."""
     match = _NAME.fullmatch(name)
     return None if match is None else BlindName(int(match["edition"]), match["id"])
+
+
+def is_unsalted(name: str) -> bool:
+    """Whether a name is that of a blind export of an earlier version, whose keys followed from the dataset alone."""
+    return _UNSALTED.fullmatch(name) is not None
 
 
 @dataclass(frozen=True)

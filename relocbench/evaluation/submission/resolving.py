@@ -11,7 +11,7 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.datasets.core.salt import Salt
 from relocbench.errors import ConfigError, PredictionError, available
-from relocbench.evaluation.common.blind_names import KIND, BlindName, blind_name
+from relocbench.evaluation.common.blind_names import KIND, BlindName, blind_name, is_unsalted
 from relocbench.evaluation.retrieval.blind_export import BlindImages
 from relocbench.evaluation.retrieval.opening import OpenedSet
 from relocbench.evaluation.tracking.blind_keys import BlindKeys
@@ -157,6 +157,9 @@ def resolve_lists(
 
 
 def _not_given(name: str, known: Sequence[str]) -> PredictionError:
+    if is_unsalted(name):
+        why = "whose keys anybody can compute; make the export again, with --salt-file, and have that answered"
+        return PredictionError(f"'{name}' is a blind export of an earlier version, {why}")
     return PredictionError(f"no dataset '{name}' was given (--dataset){available(name, known)}")
 
 
