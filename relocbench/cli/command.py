@@ -9,12 +9,18 @@ from typing import Any
 
 from typer.core import TyperArgument, TyperCommand, TyperGroup
 
+from relocbench.cli.spellings import OTHER_NAMES, as_shown
+
 
 class Command(TyperCommand):
-    """A command without types behind flags and arguments."""
+    """A command without types behind flags and arguments, whose options are understood under other names too."""
 
     def get_params(self, ctx: Any) -> Any:
         return _without_types(super().get_params(ctx))
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        known = {name for param in self.get_params(ctx) for name in (*param.opts, *param.secondary_opts)}
+        return super().parse_args(ctx, as_shown(args, known, OTHER_NAMES.get(ctx.info_name, {})))
 
 
 class Group(TyperGroup):

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from relocbench.cli.options import split_commas, takes_several
+from relocbench.cli.spellings import other_number
 from relocbench.errors import ConfigError, hint, quoted
 from relocbench.execution.scheduler_setting import SchedulerSetting
 from relocbench.files import first_fault, load_yaml_values, yaml_line
@@ -43,11 +44,13 @@ def merged(
         ConfigError: naming the option, or the file, line and key.
     """
     values: dict[str, Any] = {}
+    written: dict[str, str] = {}
     node = None
     if config is not None:
         values, node = load_yaml_values(config, "a file of options", ConfigError)
         passed_over = set() if beside is None else beside.model_fields.keys() - model.model_fields.keys()
-        values = {name: value for name, value in values.items() if name not in passed_over}
+        written = {other_number(name, model.model_fields): name for name in values if name not in passed_over}
+        values = {name: values[key] for name, key in written.items()}
     chosen = {**values, **{name: _parts(model, name, value) for name, value in given.items()}}
     try:
         return model.model_validate(chosen)
@@ -57,7 +60,7 @@ def merged(
         if config is not None and key in values and key not in given:
             if bad.errors()[0]["type"] == "extra_forbidden" and len(location) == 1:
                 message = f"unknown key {quoted(key)}{_where_else(key, model, elsewhere)}"
-            raise ConfigError(message, config, yaml_line(node, location)) from None
+            raise ConfigError(message, config, yaml_line(node, (written[key], *location[1:]))) from None
         if not key:
             raise ConfigError(message) from None
         option = f"--{key.replace('_', '-')}"

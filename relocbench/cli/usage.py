@@ -8,6 +8,7 @@ from typing import Any
 
 from typer.exceptions import TyperException
 
+from relocbench.cli.spellings import REMOVED
 from relocbench.errors import hint
 
 
@@ -22,7 +23,9 @@ def usage_fault(bad: TyperException) -> str:
         return message
     option = getattr(bad, "option_name", None)
     others = "" if option is None else _commands_with(option, context)
-    if others:
+    if instead := REMOVED.get((str(context.info_name), str(option))):
+        message = f"No such option: {option}; {instead}"
+    elif others:
         message = f"No such option: {option}; it is an option of {others}"
     return f"{message} (see `{context.command_path} --help`)"
 

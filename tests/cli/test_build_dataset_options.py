@@ -110,3 +110,16 @@ def test_a_kind_that_converts_every_image_does_not_copy() -> None:
     for kind in ("generic-lidar", "kitti-lidar", "generic"):
         assert options_of(kind).model_validate({"copy_images": True}).copies_images  # type: ignore[attr-defined]
     assert not options_of("robotcar")().copies_images  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "instead"),
+    [
+        ("evaluate", "--task", ("evaluate-retrieval", "evaluate-relocalization")),
+        ("leaderboard", "--no-plots", ("relocbench report",)),
+    ],
+)
+def test_an_option_of_an_earlier_version_is_answered_with_what_to_use_instead(
+    command: str, option: str, instead: tuple[str, ...]
+) -> None:
+    assert_names(relocbench(command, option).complaint, "", None, option, *instead)

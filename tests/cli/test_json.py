@@ -87,10 +87,7 @@ COMMANDS: dict[str, tuple[Given, dict[str, int]]] = {
         ],
         {"traversals": 1, "rejected": 0},
     ),
-    "preview": (
-        lambda d, t: ["--conditions", "Sunny", "--size", 64, "--out", t / "p.png"],
-        {"pictures": 1, "files_written": 1},
-    ),
+    "preview": (lambda d, t: ["-c", "Sunny", "--size", 64, "--out", t / "p.png"], {"pictures": 1, "files_written": 1}),
     "evaluate": (
         lambda d, t: ["-d", d.dataset, "-m", "identity", "-o", t / "r", "-j", 0],
         {"pair_sets": 2, "pairs": 7, "rejected": 1, "methods": 1, "answered": 7, "failed": 0, "broke": 0},
@@ -120,7 +117,7 @@ COMMANDS: dict[str, tuple[Given, dict[str, int]]] = {
     ),
     "submit-check": (lambda d, t: [_submission(d, t), "-d", d.dataset], {"faults": 0, "pairs": 7, "answered": 7}),
     "leaderboard add": (
-        lambda d, t: [_submission(d, t), "--results", t / "r", "-d", d.dataset],
+        lambda d, t: [_submission(d, t), "--to", t / "r", "-d", d.dataset],
         {"faults": 0, "rows": 1},
     ),
     "train": (
@@ -131,7 +128,7 @@ COMMANDS: dict[str, tuple[Given, dict[str, int]]] = {
         lambda d, t: [d.dataset, "--pictures", t / "pictures", "--pairs", 1],
         {"traversals": 2, "pair_sets": 2, "pairs": 7, "rejected": 1, "pictures": 2, "pages": 0},
     ),
-    "view": (lambda d, t: [d.dataset, "--out", t / "v.rrd", "--pairs", 1], {"pairs": 2, "pairs_left_out": 5}),
+    "view": (lambda d, t: [d.dataset, "--out", t / "v.rrd", "--limit", 1], {"pairs": 2, "pairs_left_out": 5}),
     "validate": (lambda d, t: [d.dataset, "--quick"], {"faults": 0}),
     "methods": (lambda d, t: [], {}),
     "register": (

@@ -105,7 +105,7 @@ def test_a_submission_is_taken(root: Path, tmp_path: Path) -> None:
     dataset = Dataset(root / "D")
     folder = submit(tmp_path / "s", dataset)
     assert relocbench("submit-check", folder, "-d", dataset.root).status == 0
-    added = told("leaderboard", "add", folder, "--results", tmp_path / "r", "-d", dataset.root)
+    added = told("leaderboard", "add", folder, "--to", tmp_path / "r", "-d", dataset.root)
     assert [row["state"] for row in added["rows"]] == ["added"]
 
 

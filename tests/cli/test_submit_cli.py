@@ -45,12 +45,10 @@ def test_json_has_what_is_printed(town: Dataset, tmp_path: Path) -> None:
     found = json.loads(relocbench("submit-check", root, "-d", town.root, "--json", "-q").out)
     assert (found["valid"], found["faults"], found["suspicions"]) == (True, [], [])
     assert {row["missing"] for row in found["answers"]} == {0}
-    added = json.loads(
-        relocbench("leaderboard", "add", root, "--results", tmp_path / "r", "-d", town.root, "--json").out
-    )
+    added = json.loads(relocbench("leaderboard", "add", root, "--to", tmp_path / "r", "-d", town.root, "--json").out)
     assert [row["state"] for row in added["rows"]] == ["added"]
     (root / "card.yaml").write_text("label: x\n")
-    outcome = relocbench("leaderboard", "add", root, "--results", tmp_path / "r", "-d", town.root, "--json", "-q")
+    outcome = relocbench("leaderboard", "add", root, "--to", tmp_path / "r", "-d", town.root, "--json", "-q")
     assert (outcome.status, json.loads(outcome.out)["rows"]) == (1, [])
 
 
@@ -74,9 +72,7 @@ def test_leaderboard_keeps_its_form_and_add_is_a_command_of_its_own(
     town: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert (
-        relocbench("leaderboard", "add", submit(tmp_path / "s", town), "--results", "add", "-d", town.root).status == 0
-    )
+    assert relocbench("leaderboard", "add", submit(tmp_path / "s", town), "--to", "add", "-d", town.root).status == 0
     assert relocbench("leaderboard", "./add", "--out", "board", "-q").status == 0
     assert (tmp_path / "board" / "leaderboard.md").exists()
     assert "leaderboard add" in relocbench("--help").out

@@ -96,7 +96,7 @@ def answers(out: Path) -> bytes:
         ["build-dataset", "synthetic", "--out", "LOOP"],
         ["build-dataset", "synthetic", "--recording", "kitti", "--out", "LOOP"],
         ["build-dataset", "cross-view", "--out", "LOOP"],
-        ["preview", "--conditions", "Sunny", "--size", "64", "--quiet", "--out", "LOOP/x.png"],
+        ["preview", "--condition", "Sunny", "--size", "64", "--quiet", "--out", "LOOP/x.png"],
         ["train", "gn-net", "-d", "LOOP", "--out", "trained"],
         ["train", "gn-net", "-d", "data", "--out", "LOOP"],
     ],

@@ -31,9 +31,7 @@ def results(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert relocbench("evaluate-retrieval", *common, "-m", "random").status == 0
     done = relocbench("evaluate-relocalization", *common, "-r", "oracle", "-m", "identity")
     assert done.status == 0, done.err
-    added = relocbench(
-        "leaderboard", "add", submit(root / "s", dataset), "--results", root / "r", "-d", dataset.root, "-q"
-    )
+    added = relocbench("leaderboard", "add", submit(root / "s", dataset), "--to", root / "r", "-d", dataset.root, "-q")
     assert added.status == 0, added
     return root / "r"
 

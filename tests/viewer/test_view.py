@@ -185,7 +185,7 @@ def test_every_and_limit_thin_pairs_out_along_the_drive(dataset: Dataset) -> Non
 
 def test_json_counts_what_was_written_and_what_was_left_out(dataset: Dataset, tmp_path: Path) -> None:
     out = tmp_path / "a.rrd"
-    done = relocbench("view", dataset.root, "--out", out, "--pairs", 2, "--json", "--quiet")
+    done = relocbench("view", dataset.root, "--out", out, "--limit", 2, "--json", "--quiet")
     told = json.loads(done.out)["counts"]
     of = sum(len(s.evaluated) for s in dataset.pair_sets())
     assert (told["pairs"], told["pair_sets"], told["methods"], told["pairs_left_out"]) == (4, 2, 0, of - 4)
@@ -331,7 +331,7 @@ def test_a_picture_says_where_a_method_did_not_answer(dataset: Dataset, results:
         (["--pair-set", ACROSS, "--pair-index", "99", "--out", "a.png"], "no pair 99"),
         (["--pair-set", "nowhere", "--out", "a.rrd"], "no pair set 'nowhere'"),
         (["--pair", "1", "2", "--pair-index", "0"], "give one of them"),
-        (["--method", "dso", "--out", "a.rrd"], "--results"),
+        (["--methods", "dso", "--out", "a.rrd"], "--results"),
     ],
 )
 def test_mistakes_are_one_line(dataset: Dataset, options: list[str], said: str) -> None:

@@ -57,7 +57,7 @@ def _lists(place: Place) -> Iterable[str]:
     return _check(place, "lists")
 
 
-_ADD = ("leaderboard", "add", "{root}/real", "--results", "{out}/r", "-d", "{root}/ds", "-q")
+_ADD = ("leaderboard", "add", "{root}/real", "--to", "{out}/r", "-d", "{root}/ds", "-q")
 SEEDS = {"submissions": write_submissions}
 PARSERS = (
     Parser("card.yaml", "submissions", ("real/card.yaml",), _card, text=True),

@@ -22,10 +22,7 @@ from relocbench.datasets.importers.rosbag.recording import open_bag, read_bag
 from relocbench.datasets.importers.rosbag.roles import Wanted
 from relocbench.datasets.sensors.recording import FieldRecording
 
-AS_ROBOTCAR = (
-    *("--gnss", "/gnss/pose", "--max-range", 50, "--min-range", 0.1),
-    *("--lidar-sigma", 0.012, "--max-pose-gap", 0.5),
-)
+AS_ROBOTCAR = ("--gnss", "/gnss/pose", "--max-range", 50, "--min-range", 0.1, "--lidar-sigma", 0.012, "--max-gap", 0.5)
 STORAGES: tuple[Storage, ...] = get_args(Storage)
 
 

@@ -459,7 +459,7 @@ def test_mistakes_are_named(tmp_path: Path) -> None:
 
 def test_a_preview_that_cannot_be_written_is_not_rendered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet.contact_sheet", None)
-    told = relocbench("preview", "--conditions", "Sunny", "--out", tmp_path)
+    told = relocbench("preview", "-c", "Sunny", "--out", tmp_path)
     assert (told.status, told.complaint) == (2, f"relocbench: {tmp_path}: Is a directory")
     assert list(tmp_path.iterdir()) == []
 
@@ -468,7 +468,7 @@ def test_a_preview_that_cannot_be_written_is_not_rendered(tmp_path: Path, monkey
 @pytest.mark.usefixtures("small_preview")
 def test_a_preview_has_a_picture_for_each_condition(tmp_path: Path) -> None:
     sheet = tmp_path / "sheet.png"
-    outcome = relocbench("preview", "--conditions", "Sunny,Snow", "--size", "96x72", "--out", sheet, "--quiet")
+    outcome = relocbench("preview", "-c", "Sunny,Snow", "--size", "96x72", "--out", sheet, "--quiet")
     assert outcome.status == 0, outcome.err
     picture = images.read_image(sheet)
     assert picture.shape == (72, 2 * 96 + 4, 3)

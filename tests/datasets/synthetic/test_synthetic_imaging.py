@@ -218,9 +218,7 @@ def test_a_preview_shows_drawn_cameras(tmp_path: Path) -> None:
     with refused(ConfigError, "", None, "--drawn-cameras"):
         previewed((), everything=False, swept="light", steps=2, cameras=2)
     sheet = tmp_path / "sheet.jpg"
-    outcome = relocbench(
-        "preview", "--conditions", "Sunny", "--drawn-cameras", 1, "--size", "96x72", "--out", sheet, "--quiet"
-    )
+    outcome = relocbench("preview", "-c", "Sunny", "--cameras", 1, "--size", "96x72", "--out", sheet, "--quiet")
     assert outcome.status == 0, outcome.err
     picture = images.read_image(sheet).astype(float)
     assert picture.shape == (72, 2 * 96 + 4, 3)

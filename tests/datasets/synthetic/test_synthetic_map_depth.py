@@ -284,7 +284,7 @@ def test_errors_that_leave_no_depth_are_refused(kind: str, reach: str, tmp_path:
 @pytest.mark.usefixtures("small_preview")
 def test_a_preview_shows_what_maps_know(tmp_path: Path) -> None:
     sheet = tmp_path / "sheet.png"
-    words = ("preview", "--conditions", "Sunny", "--map-depths", "--size", "96x72", "--out", sheet, "--quiet")
+    words = ("preview", "-c", "Sunny", "--map-depths", "--size", "96x72", "--out", sheet, "--quiet")
     assert relocbench(*words).status == 0
     picture = images.read_image(sheet)
     assert picture.shape == (72, 5 * 96 + 4 * 4, 3)

@@ -273,9 +273,7 @@ def test_a_preview_shows_drawn_views(tmp_path: Path) -> None:
     sheets = []
     for count in (0, 1):
         out = tmp_path / f"{count}.png"
-        told = relocbench(
-            "preview", "--conditions", "Sunny", "--drawn-views", count, "--size", "96x72", "--out", out, "--quiet"
-        )
+        told = relocbench("preview", "-c", "Sunny", "--drawn-views", count, "--size", "96x72", "--out", out, "--quiet")
         assert told.status == 0, told.err
         sheets.append(images.read_image(out).astype(float))
     assert sheets[1].shape == (72, 2 * 96 + 4, 3)

@@ -40,7 +40,7 @@ def blind(town: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 def adding(root: Path, results: Path, *datasets: Dataset, options: tuple[str, ...] = ()) -> Outcome:
     named = [word for dataset in datasets for word in ("-d", dataset.root)]
     salt = ("--salt-file", salt_file(root.parent))
-    return relocbench("leaderboard", "add", root, "--results", results, *named, "-q", *salt, *options)
+    return relocbench("leaderboard", "add", root, "--to", results, *named, "-q", *salt, *options)
 
 
 def row_of(results: Path, town: Dataset, label: str = "my-method") -> MethodResults:

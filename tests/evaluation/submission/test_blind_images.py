@@ -93,7 +93,7 @@ def check(submission: Path, *datasets: Path, options: tuple[str, ...] = ()) -> t
 
 def add(submission: Path, dataset: Path, results: Path) -> int:
     given = ("--salt-file", dataset.parent / f"{SALT_TEXT[:4]}.salt")
-    return relocbench("leaderboard", "add", submission, "--results", results, "-d", dataset, "-q", *given).status
+    return relocbench("leaderboard", "add", submission, "--to", results, "-d", dataset, "-q", *given).status
 
 
 @pytest.mark.parametrize("name", ["town", "views"])
@@ -248,9 +248,7 @@ def test_an_export_alone_cannot_score_and_named_answers_are_refused_where_blind_
     root: Path, tmp_path: Path
 ) -> None:
     submission = handed_in(root, "views", tmp_path)
-    outcome = relocbench(
-        "leaderboard", "add", submission, "--results", tmp_path / "r", "-d", root / "views-blind", "-q"
-    )
+    outcome = relocbench("leaderboard", "add", submission, "--to", tmp_path / "r", "-d", root / "views-blind", "-q")
     assert (outcome.status, "is withheld" in outcome.complaint) == (2, True)
     assert not list(tmp_path.glob("r/*@*"))
     assert check(submission, root / "views", options=("--blind-only",))[0] == 0
