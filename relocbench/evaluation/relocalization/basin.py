@@ -87,6 +87,8 @@ def read_basins(folder: Path) -> dict[tuple[str, str, str], float]:
     from relocbench.evaluation.probe.records import RADII  # imported late: its package loads the plotting code
 
     path = folder / "radii.csv" if folder.is_dir() else folder
+    if not path.exists():
+        raise PredictionError("missing; expected radii of `relocbench probe`", path)
     out = {
         (row.method, row.what, row.conditions): row.radius
         for row in RADII.read(path)
