@@ -71,6 +71,19 @@ def test_one_dataset_and_datasets_without_a_method_in_common_have_none(tmp_path:
     assert make_board(load_results(tmp_path)).over == ()
 
 
+def test_tiers_of_a_town_count_once(tmp_path: Path) -> None:
+    for number in (1, 2):
+        for tier in ("easy", "extreme"):
+            share = {"easy": 1.0, "extreme": 0.2}[tier] - 0.1 * number
+            name = f"relocbench-2026.1-test-{tier}-{number:02d}"
+            town(tmp_path, name, 50, {"mine": right(50, share, number), "yours": right(50, 0.1, number)})
+    (over,) = make_board(load_results(tmp_path)).over
+    assert (over.roads, len(over.parts), over.count) == (2, 4, 200)
+    (mine,) = (row for row in over.rows if row.method.label == "mine")
+    assert (mine.values["least"], mine.values["greatest"]) == pytest.approx((0.4, 0.5))
+    assert over.notes[0].startswith("4 datasets of 2 roads")
+
+
 def test_pairs_of_the_same_drive_have_a_table_of_their_own(tmp_path: Path) -> None:
     for number in range(2):
         methods = {"a": right(30, 0.9, number), "b": right(30, 0.5, number)}

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +18,10 @@ from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.core.schema import Name, Strict
 from relocbench.errors import DatasetError
 from relocbench.files import dump_yaml, load_yaml, write_text
+from relocbench.metrics.pose.tiers import TIERS
 
 FILE = "edition.yaml"
+_TIER = re.compile(rf"(?<=-)(?:{'|'.join(TIERS)})-(?=\d+$)")
 
 
 class TierRecord(Strict):
@@ -52,6 +55,16 @@ class EditionFolder:
 
     def to_dict(self) -> dict[str, Any]:
         return {"edition": str(self.root), **self.file.model_dump(), "pairs": dict(self.pairs)}
+
+
+def district_name(edition: str, split: str, tier: str, number: int) -> str:
+    """The name of a district's dataset."""
+    return f"relocbench-{edition}-{split}-{tier}-{number:02d}"
+
+
+def road_of(name: str) -> str:
+    """The road that a dataset of this name is of: all tiers of a district show the same town."""
+    return _TIER.sub("", name) if name.startswith("relocbench-") else name
 
 
 def questions_of(content_ids: Mapping[str, str]) -> str:

@@ -3,7 +3,7 @@
 A dataset is one road: what its pair sets or tasks have in common does not average out. From
 :data:`relocbench.metrics.statistics.intervals.MANY_ROADS` datasets on, a difference counts if it is also larger than
 the spread of the datasets explains, and speaks of other streets; with fewer, ranks speak of these streets alone.
-Datasets of one name, such as two versions of one, are one road.
+Datasets of one name, such as two versions of one, are one road, and so are the tiers of an edition's district.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from relocbench.datasets.core.edition_folder import road_of
 from relocbench.evaluation.common.folders import AnswerFolder, SetLike
 from relocbench.leaderboard.common.columns import (
     Column,
@@ -58,13 +59,16 @@ class Everywhere(Generic[M_co]):
 class Part(Generic[M]):
     """What one dataset contributes."""
 
-    road: str
-    """its name"""
+    name: str
     title: str
     methods: Sequence[M]
     plan: Plan
     count: int
     """of its pairs or queries"""
+
+    @property
+    def road(self) -> str:
+        return road_of(self.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +85,7 @@ class OverDatasets(Generic[M]):
 
     @property
     def roads(self) -> int:
-        """How many datasets there are that count."""
+        """How many datasets count, those of one road together."""
         return len({part.road for part in self.parts})
 
     @property
@@ -99,9 +103,12 @@ class OverDatasets(Generic[M]):
             speaks = f"Ranks and intervals speak of these {self.roads} datasets alone: others may rank otherwise"
         else:
             speaks = "Ranks and intervals speak of other streets as well: they allow for the spread of the datasets"
+        fewer = f"{len(self.parts)} datasets of {self.roads} roads: those of one road count as one together"
+        of_roads = fewer if self.roads < len(self.parts) else ""
         missing = "; ".join(f"{row.method.label} on {', '.join(row.missing)}" for row in self.rows if row.missing)
+        missing = f"No results, hence no rank: {missing}" if missing else ""
         about = about_ranks(self.rows, self.metric, f"{self.count} {self.what}")
-        return [note for note in (speaks, about, f"No results, hence no rank: {missing}" if missing else "") if note]
+        return [note for note in (of_roads, speaks, about, missing) if note]
 
 
 def over_datasets(

@@ -20,6 +20,7 @@ from relocbench.datasets.core.edition_folder import (
     EditionFile,
     EditionFolder,
     TierRecord,
+    district_name,
     questions_of,
     read_edition,
     write_edition,
@@ -85,7 +86,7 @@ def options_of(edition: Recipe, split: str, tier: Tier, district: District) -> d
     own = edition.tiers[tier]
     turn = {name: values[(district.number - 1) % len(values)] for name, values in own.in_turn.items()}
     return {
-        "name": f"relocbench-{edition.edition}-{split}-{tier}-{district.number:02d}",
+        "name": district_name(edition.edition, split, tier, district.number),
         **edition.options,
         **own.options,
         **{name: value for name, value in turn.items() if value is not None},
