@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from relocbench.errors import ConfigError
 from relocbench.execution import namespaces
@@ -43,15 +44,18 @@ class Sandbox:
             raise ConfigError(NO_SANDBOX)
         return found
 
-    def command(self, words: Sequence[str], writable: Sequence[Path]) -> list[str]:
-        """The command line that runs another one inside.
+    def start(
+        self, words: Sequence[str], writable: Sequence[Path], *, pass_fds: Sequence[int] = (), **options: Any
+    ) -> subprocess.Popen[Any]:
+        """Start a command inside.
 
-        Environment, working folder and inherited file descriptors are passed on. The exit status is that of the
-        command, or 128 and the number of the signal that ended it. It ends with the process that started it, and all
-        that it has started with it.
+        Environment and working folder are passed on. The exit status is that of the command, or 128 and the number of
+        the signal that ended it. It ends with the process that started it, and all that it has started with it. What
+        is hidden and writable is in no argument, since those of process 1 can be read inside.
 
         Args:
             writable: existing folders that the command may write to.
+            pass_fds, options: of ``subprocess.Popen``.
         """
         kind = self.kind or working_sandbox()
         writes = [str(path.resolve()) for path in writable]
@@ -59,8 +63,7 @@ class Sandbox:
         hides = sorted(str(path) for path in resolved if resolved.isdisjoint(path.parents))
         if kind == NAMESPACES:
             spec = json.dumps({"parent": os.getpid(), "writable": writes, "hidden": hides})
-            # A variable, since the arguments of process 1 can be read inside.
-            return ["env", f"{namespaces.SPEC}={spec}", sys.executable, "-I", "-S", namespaces.__file__, *words]
+            words = ["env", f"{namespaces.SPEC}={spec}", sys.executable, "-I", "-S", namespaces.__file__, *words]
         if kind == BUBBLEWRAP:
             seen = ["--ro-bind", "/", "/", "--dev-bind", "/dev", "/dev", "--tmpfs", "/dev/shm", "--proc", "/proc"]
             system = [f"/proc/{name}" for name in namespaces.OF_THE_SYSTEM if Path(f"/proc/{name}").exists()]
@@ -71,8 +74,13 @@ class Sandbox:
             seen += [word for path in hides for word in ("--remount-ro", path)]
             apart = ["--unshare-user", "--unshare-pid", "--unshare-ipc", "--cap-drop", "ALL"]
             ends = ["--die-with-parent", "--new-session"]
-            return ["bwrap", *seen, *apart, *ends, "--chdir", str(Path.cwd()), *words]
-        return list(words)
+            seen += [*apart, *ends, "--chdir", str(Path.cwd())]
+            with os.fdopen(os.memfd_create("bubblewrap"), "wb") as file:
+                file.write(b"".join(os.fsencode(word) + b"\0" for word in seen))
+                file.seek(0)
+                words = ["bwrap", "--args", str(file.fileno()), *words]
+                return subprocess.Popen(words, pass_fds=(*pass_fds, file.fileno()), **options)
+        return subprocess.Popen(words, pass_fds=pass_fds, **options)
 
 
 @cache
@@ -86,9 +94,12 @@ def working_sandbox() -> str:
 def _works(kind: str) -> bool:
     if kind == BUBBLEWRAP and shutil.which("bwrap") is None:
         return False
-    command = Sandbox(kind).command(["true"], [])
+    silent: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     try:
-        done = subprocess.run(command, check=False, stdin=subprocess.DEVNULL, capture_output=True, timeout=_PATIENCE_S)
+        with Sandbox(kind).start(["true"], [], **silent) as process:
+            try:
+                return process.wait(_PATIENCE_S) == 0
+            finally:
+                process.kill()
     except (OSError, subprocess.TimeoutExpired):
         return False
-    return done.returncode == 0

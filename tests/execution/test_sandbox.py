@@ -29,8 +29,7 @@ def kind(request: pytest.FixtureRequest) -> str:
 def inside(
     kind: str, code: str, *, writable: tuple[Path, ...] = (), hidden: tuple[Path, ...] = ()
 ) -> subprocess.Popen[str]:
-    command = Sandbox(kind, hidden).command([sys.executable, "-I", "-c", code], writable)
-    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    return Sandbox(kind, hidden).start([sys.executable, "-I", "-c", code], writable, stdout=subprocess.PIPE, text=True)
 
 
 def printed(process: subprocess.Popen[str]) -> str:
@@ -105,10 +104,7 @@ print([path for path in glob.glob("/dev/*") if pathlib.Path(path).is_block_devic
 
 def test_a_signal_to_its_group_reaches_nobody_outside(kind: str) -> None:
     code = "import os, signal; signal.signal(15, signal.SIG_IGN); os.kill(0, 15); print(os.getsid(0) == os.getpid())"
-    process = subprocess.run(
-        Sandbox(kind).command([sys.executable, "-I", "-c", code], []), stdout=subprocess.PIPE, text=True, check=True
-    )
-    assert process.stdout.strip() in {"True", "False"}, "this process was not ended"
+    assert printed(inside(kind, code)) in {"True", "False"}, "this process was not ended"
 
 
 def test_no_process_outside_is_seen(kind: str) -> None:
@@ -117,6 +113,21 @@ pids = [name for name in os.listdir("/proc") if name.isdigit()]
 print(len(pids), os.getppid(), "RELOCBENCH_SANDBOX" in os.environ)
 """
     assert printed(inside(kind, code)) == "2 1 False"
+
+
+def test_no_argument_and_no_open_file_names_a_folder(kind: str, tmp_path: Path) -> None:
+    code = """import os, pathlib
+for pid in (name for name in os.listdir("/proc") if name.isdigit()):
+    print(pathlib.Path(f"/proc/{pid}/cmdline").read_bytes())
+print("open", *os.listdir("/proc/self/fd"))
+"""
+    own, hidden = tmp_path / "own", tmp_path / "hidden"
+    own.mkdir()
+    hidden.mkdir()
+    seen = printed(inside(kind, code, writable=(own,), hidden=(hidden,)))
+    assert str(tmp_path) not in seen
+    assert seen.splitlines()[-1] == "open 0 1 2 3", "the last one is /proc/self/fd"
+    assert "cmdline" in seen.splitlines()[0], "the arguments of process 1 were read, too"
 
 
 @pytest.mark.parametrize(
@@ -142,10 +153,9 @@ if not os.fork():
 os.wait()
 {"time.sleep(600)" if goes_on else ""}
 """
-    start = f"""import os, subprocess, time
+    start = f"""import os, time
 from relocbench.execution.sandbox import Sandbox
-command = Sandbox({kind!r}).command([{sys.executable!r}, "-I", "-c", {code!r}], [])
-subprocess.Popen(command, pass_fds=({kept},))
+process = Sandbox({kind!r}).start([{sys.executable!r}, "-I", "-c", {code!r}], [], pass_fds=({kept},))
 os.close({kept})
 time.sleep(600)
 """
@@ -170,4 +180,5 @@ def test_one_that_is_required_and_not_there_is_refused(monkeypatch: pytest.Monke
     monkeypatch.setattr(sandbox, "working_sandbox", lambda: NONE)
     with refused(ConfigError):  # as it is found out by a worker of a cluster
         assert Sandbox("", required=True).exists
-    assert Run().hiding(tmp_path).sandbox_of_methods().command(["true"], []) == ["true"]
+    with Run().hiding(tmp_path).sandbox_of_methods().start(["true"], []) as process:
+        assert process.args == ["true"]

@@ -65,15 +65,13 @@ class MethodProcess:
         held, control = os.pipe()
         words = [sys.executable, "-c", _START, module, str(theirs.fileno()), json.dumps(sys.path)]
         self._sandboxed = sandbox.exists
-        if self._sandboxed:
-            trusted = isinstance(spec, MethodSpec) and spec.runs_only_our_code
-            others = replace(sandbox, hidden=(*sandbox.hidden, scratch.path.parent))
-            words = others.command(words, [scratch.path, *shared_folders(environment, kernels=trusted)])
-        else:
+        if not self._sandboxed:
             words = [sys.executable, "-I", "-S", str(keeper.__file__), str(held), str(os.getpid()), *words]
+        trusted = isinstance(spec, MethodSpec) and spec.runs_only_our_code
         with theirs:
-            self._process = subprocess.Popen(
+            self._process = replace(sandbox, hidden=(*sandbox.hidden, scratch.path.parent)).start(
                 words,
+                [scratch.path, *shared_folders(environment, kernels=trusted)],
                 stdin=subprocess.DEVNULL,
                 stdout=sys.__stderr__,
                 pass_fds=(theirs.fileno(), held),
