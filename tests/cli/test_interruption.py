@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from command_line import relocbench
-from killing import WAIT_S, is_running, wait_until
+from killing import WAIT_S, is_running, running_with, wait_until
 from made_pairs import SETTINGS
 from small_dataset import ACROSS, make_small_dataset
 
@@ -27,10 +27,13 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return make_small_dataset(tmp_path_factory.mktemp("data") / "small", size=(64, 48))
 
 
-def interrupted(
+def stopped(
     command: list[str], reached: Callable[[], bool], kind: signal.Signals, to_group: bool, cwd: Path
-) -> str:
-    """Run a command, interrupt it when it has ``reached`` its work, and see that it ends; returns what it said."""
+) -> tuple[int, str]:
+    """Run a command, send it a signal when it has ``reached`` its work, and see that all its processes end.
+
+    Returns its status and what it said.
+    """
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     process = subprocess.Popen(
         command, cwd=cwd, env=environment, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, process_group=0
@@ -44,7 +47,15 @@ def interrupted(
         process.kill()
     wait_until(lambda: not any(is_running(pid) for pid in processes))
     _, err = process.communicate()
-    assert process.returncode == 130, err
+    return process.returncode, err
+
+
+def interrupted(
+    command: list[str], reached: Callable[[], bool], kind: signal.Signals, to_group: bool, cwd: Path
+) -> str:
+    """The same with a signal that a command answers by saying so; returns what it said."""
+    status, err = stopped(command, reached, kind, to_group, cwd)
+    assert status == 130, err
     assert "Traceback" not in err
     assert err.count("relocbench: interrupted; the same command goes on where it stopped") == 1
     return err
@@ -67,6 +78,23 @@ def test_one_signal_ends_an_evaluation_while_its_method_hangs(
     at = "{} {}".format(*dataset.pair_set(ACROSS).pairs[2].key)
     command += ["--set", f"deed={deed}", "--set", f"at={at}", "--set", f"mark={mark}", "-j", str(workers)]
     interrupted([*command, "-o", str(tmp_path / "out")], mark.exists, kind, to_group, tmp_path)
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere a child with a session of its own escapes")
+@pytest.mark.parametrize("sandbox", ["auto", "none"])
+def test_a_kill_leaves_no_process_of_a_method_behind(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sandbox: str
+) -> None:
+    left = str(tmp_path / "left")
+    monkeypatch.setenv("LEFT_BEHIND", left)
+    command = [*RELOCBENCH, "evaluate", "-d", str(dataset.root), "-m", f"bad={HERE}:Misbehaves", "-j", "1"]
+    at = "{} {}".format(*dataset.pair_set(ACROSS).pairs[2].key)
+    command += ["--set", "deed=leave_behind_and_hang", "--set", f"at={at}", "--sandbox", sandbox]
+    command += ["-o", str(tmp_path / "out")]
+    status, err = stopped(command, lambda: len(running_with(left)) == 2, signal.SIGKILL, False, tmp_path)
+    assert status == -signal.SIGKILL, err
+    assert not running_with(left)
 
 
 @pytest.mark.thorough

@@ -41,6 +41,13 @@ def test_every_pinned_package_has_a_hash_and_no_address() -> None:
     assert "://" not in hashes + (ROOT / "constraints.txt").read_text()
 
 
+def test_set_up_installs_nothing_of_others_without_a_hash() -> None:
+    commands = re.findall(r" pip install (.+)$", (ROOT / "tools" / "setup.sh").read_text(), re.MULTILINE)
+    without = [command for command in commands if "--require-hashes" not in command.split()]
+    assert len(commands) == 3
+    assert without == ["--quiet --no-deps --no-build-isolation -e ."], "relocbench itself, with what is installed"
+
+
 def test_images_actions_and_hooks_of_others_are_pinned_by_digest() -> None:
     unpinned = []
     pinned = {

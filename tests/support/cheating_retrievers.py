@@ -13,6 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+from cheating_trackers import FRAMES, sockets
 
 from relocbench.retrieval import Descriptors, ImageView
 
@@ -68,6 +69,15 @@ class KeyGuesser:
     def describe(self, images: Sequence[ImageView]) -> Descriptors:
         found = [self._known[view.key] for view in images if view.key in self._known]
         self.info["found"] = sorted({*self.info["found"], *found})
+        return np.ones((len(images), 2), dtype=np.float32)
+
+
+class Forger:
+    """Answers in the protocol's stead."""
+
+    def describe(self, images: Sequence[ImageView]) -> Descriptors:
+        for connection in sockets():
+            connection.sendall(FRAMES["text"])
         return np.ones((len(images), 2), dtype=np.float32)
 
 

@@ -204,7 +204,7 @@ class Forger:
             time.perf_counter = lambda: 0.0
             time.sleep(0.05)
         else:
-            for connection in _sockets():
+            for connection in sockets():
                 connection.sendall(FRAMES[self.how])
         return TrackResult(np.eye(4))
 
@@ -340,7 +340,7 @@ FRAMES = {
 }
 
 
-def _sockets() -> list[socket.socket]:
+def sockets() -> list[socket.socket]:
     found = []
     for descriptor in range(3, 64):
         with suppress(OSError):

@@ -79,6 +79,11 @@ def start_and_leave_behind() -> None:
     Path(os.environ["LEFT_BEHIND"]).touch()
 
 
+def leave_behind_and_hang() -> None:
+    start_and_leave_behind()
+    hang()
+
+
 DEEDS: dict[str, Callable[[], None]] = {
     deed.__name__: deed
     for deed in (
@@ -91,6 +96,7 @@ DEEDS: dict[str, Callable[[], None]] = {
         raise_memory_error,
         fork_sleepers,
         start_and_leave_behind,
+        leave_behind_and_hang,
     )
 }
 

@@ -26,6 +26,7 @@ from relocbench.evaluation.isolation.framing import FramingFault, receive_answer
 from relocbench.evaluation.isolation.tracker import _answers as as_answers
 from relocbench.evaluation.isolation.worker import Assignment, Visibility
 from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_pipelines
+from relocbench.evaluation.retrieval.answers import ANSWERS as RETRIEVED
 from relocbench.evaluation.retrieval.describe import AnonymousViews, Describer, anonymous
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.tables.answers import Answer, read_answers
@@ -207,6 +208,21 @@ def test_a_process_that_sends_no_answer_costs_its_pairs_and_later_methods_run(tm
     assert {answer.status for answer in answers(cheat)} == {"error"}
     assert "something other than an answer to the question" in answers(cheat)[0].message
     assert {answer.status for answer in answers(identity)} == {"ok"}
+
+
+@pytest.mark.thorough
+def test_a_retriever_that_sends_no_answer_costs_its_queries_and_later_retrievers_run(tmp_path: Path) -> None:
+    options = RetrievalOptions(
+        dataset=make_small_views(tmp_path / "views", places=3),
+        out=tmp_path / "out",
+        methods=("cheat=cheating_retrievers:Forger", "colour-histogram"),
+    )
+    cheat, honest = Context().run(evaluate_retrievers, options, Silent()).folders
+    for task in ("drone-satellite", "satellite-drone"):
+        told = list(RETRIEVED.read(cheat.answers(task)))
+        assert {answer.status for answer in told} == {"error"}
+        assert "something other than an answer to the question" in told[0].message
+        assert {answer.status for answer in RETRIEVED.read(honest.answers(task))} == {"ok"}
 
 
 @pytest.mark.parametrize("how", FRAMES)

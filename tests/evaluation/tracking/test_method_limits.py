@@ -27,7 +27,7 @@ from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import ConfigError
 from relocbench.evaluation.isolation import losses
 from relocbench.evaluation.retrieval.answers import ANSWERS as RETRIEVED
-from relocbench.evaluation.retrieval.describe import anonymous
+from relocbench.evaluation.retrieval.describe import anonymous, mixed
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.tables.answers import Answer, read_answers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
@@ -227,6 +227,23 @@ def test_an_image_on_which_a_retriever_ends_its_process_costs_itself_alone(
     assert list(told) == [query]
     assert words in told[query]
     assert {a.status for a in good} == {"ok"}
+
+
+@pytest.mark.thorough
+def test_a_retriever_is_not_given_up_for_the_first_image_that_it_is_shown(tmp_path: Path) -> None:
+    opened = open_cross_view(make_small_views(tmp_path / "views", places=3))
+    gallery = opened.tasks()[0].gallery
+    first = gallery[mixed(len(gallery), opened.fingerprint)[0]]
+    options = RetrievalOptions(
+        dataset=tmp_path / "views",
+        out=tmp_path / "out",
+        methods=(f"bad={HERE}:Describes",),
+        set=("bad.deed=leave", f"bad.at='{next(anonymous([first], opened.fingerprint)).key}'"),
+        pair_sets=("drone-satellite",),
+    )
+    (folder,) = evaluate_retrievers(options, Silent()).folders
+    assert folder.run_record().tasks["drone-satellite"].gallery_described == len(gallery) - 1
+    assert {answer.status for answer in RETRIEVED.read(folder.answers("drone-satellite"))} == {"ok"}
 
 
 @pytest.mark.thorough
