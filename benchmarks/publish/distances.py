@@ -29,17 +29,23 @@ _HEADS = [f"{low:g} to {high:g} m" for low, high in pairwise(EDGES_M[:-1])]
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--leaderboard", type=Path, default=Path("leaderboard"))
-    folder = parser.parse_args().leaderboard
-    distances: dict[str, list[float]] = {}
-    for edition in sorted((folder / "edition" / "predictions").iterdir()):
-        distances |= of_edition(edition)
-    distances |= of_small_sets(folder / "errors.csv")
-    counts = {name: np.histogram(metres, EDGES_M)[0].tolist() for name, metres in distances.items()}
-    print(f"| pairs of | all | {' | '.join(_HEADS)} | farther | median |")
-    print(f"|---|{'---:|' * (len(EDGES_M) + 1)}")
-    for name, metres in distances.items():
-        print(f"| {name} | {len(metres)} | {' | '.join(map(str, counts[name]))} | {np.median(metres):.2f} m |")
+    text, counts = table(parser.parse_args().leaderboard)
+    print(text)
     print(json.dumps({"benchmark": "distances", "edges_m": EDGES_M[:-1], "pairs": counts}))
+
+
+def table(leaderboard: Path) -> tuple[str, dict[str, list[int]]]:
+    """The table in Markdown, and how many pairs are how far apart."""
+    distances: dict[str, list[float]] = {}
+    for edition in sorted((leaderboard / "edition" / "predictions").iterdir()):
+        distances |= of_edition(edition)
+    distances |= of_small_sets(leaderboard / "errors.csv")
+    counts = {name: np.histogram(metres, EDGES_M)[0].tolist() for name, metres in distances.items()}
+    lines = [f"| pairs of | all | {' | '.join(_HEADS)} | farther | median |", f"|---|{'---:|' * (len(EDGES_M) + 1)}"]
+    for name, metres in distances.items():
+        numbers = (len(metres), *counts[name], f"{np.median(metres):.2f} m")
+        lines.append(f"| {name} | {' | '.join(map(str, numbers))} |")
+    return "\n".join(lines), counts
 
 
 def of_edition(archives: Path) -> dict[str, list[float]]:

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import archives
+import distances
 import edition_page
 import pytest
 from repository import ROOT
@@ -80,6 +81,12 @@ def test_differences_that_people_read_stand_on_the_page_with_their_stars(page: s
     quoted = set(QUOTED.findall((ROOT / page).read_text().split(end)[0]))
     assert quoted
     assert quoted <= set(QUOTED.findall(EDITION.read_text()))
+
+
+@pytest.mark.thorough
+def test_the_distances_that_people_read_are_those_of_the_published_pairs() -> None:
+    text, _ = distances.table(ROOT / "leaderboard")
+    assert f"\n\n{text}\n\n" in (ROOT / "docs" / "results.md").read_text()
 
 
 @pytest.mark.thorough
