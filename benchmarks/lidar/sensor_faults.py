@@ -276,7 +276,7 @@ def line(title: str, f: dict[str, Any]) -> str:
         return f"| {title} | 0 of {f['pairs']} | | | | | {f['refused_because']} | {seconds} |"
     return (
         f"| {title} | {f['accepted']} of {f['pairs']} | {100 * float(f['median_m']):.1f} cm, {f['median_deg']:.3f}° | "
-        f"{100 * float(f['max_m']):.1f} cm, {f['max_deg']:.3f}° | {100 * float(f['along_m']):+.1f} cm | "
+        f"{100 * float(f['max_m']):.1f} cm, {f['max_deg']:.3f}° | {100 * float(f['along_m']):+z.1f} cm | "
         f"{f['normalised']} | {f['refused_because']} | "
         f"{seconds} |"
     )
