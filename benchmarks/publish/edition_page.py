@@ -179,6 +179,7 @@ def _notes(edition: Recipe, split: str, columns: Sequence[Group]) -> Iterator[st
         yield "Intervals speak of these districts alone: on others methods may find more or less."
     else:
         yield "Intervals speak of other districts of the same recipe as well. Districts count alike."
+    yield "gn-net, gn-net-from-prior and gn-net-contrastive also try starts up to 10 m ahead and behind along the road."
     yield _OF[split]
 
 
