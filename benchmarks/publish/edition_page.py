@@ -29,6 +29,7 @@ import tiers
 from archives import pack, unpack
 from groups import FLOORS, METRICS, Group, commit, difference_table, differences, rounded_percent, run
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.edition_folder import datasets_of, questions_of
 from relocbench.datasets.importers.edition.dataset import Recipe, recipe
@@ -212,20 +213,32 @@ def by_weather(columns: Sequence[Group]) -> Iterator[str]:
 
 
 def _sureness(columns: Sequence[Group]) -> Iterator[str]:
-    """How many of the answers are right: of all, and of those with a confidence of 0.5 or more."""
+    """How many answers are right, of all and of those that are sure, and how many of the right ones are sure."""
+    tables: dict[str, list[str]] = {"sure": [], "right": []}
+    for method in (name for name in tiers.in_order(columns) if name not in (*FLOORS, tiers.BOUND)):
+        cells: dict[str, list[str]] = {"sure": [], "right": []}
+        for group in columns:
+            rows = group.rows[group.rows["method"] == method] if method in group.methods else group.rows[:0]
+            right, confidence = rows[METRICS[0]].to_numpy(), rows["confidence"].to_numpy(dtype=np.float64)
+            sure = confidence >= CONFIDENT
+            cells["sure"] += [_share(right[rows["answered"].to_numpy(dtype=bool)]), _share(right[sure])]
+            cells["right"].append(_share(sure[right == 1]) if np.isfinite(confidence).any() else "")
+        for name, of in cells.items():
+            tables[name].append(f"| {method} | {' | '.join(of)} |")
     yield "\n## Are answers right?\n"
     yield "Of the answers that a method gives, in percent, and their number; a pair may also be declined. *Sure* are"
     yield f"answers with a confidence of {CONFIDENT:g} or more, of methods that state one.\n"
     yield f"| method | {' | '.join(f'{group.name} | sure' for group in columns)} |"
     yield f"|---|{'---:|---:|' * len(columns)}"
-    for method in (name for name in tiers.in_order(columns) if name not in (*FLOORS, tiers.BOUND)):
-        cells = []
-        for group in columns:
-            rows = group.rows[group.rows["method"] == method] if method in group.methods else group.rows[:0]
-            right, confidence = rows[METRICS[0]].to_numpy(), rows["confidence"].to_numpy(dtype=np.float64)
-            for chosen in (rows["answered"].to_numpy(dtype=bool), confidence >= CONFIDENT):
-                cells.append(f"{100 * right[chosen].mean():.1f} of {chosen.sum()}" if chosen.any() else "")
-        yield f"| {method} | {' | '.join(cells)} |"
+    yield from tables["sure"]
+    yield "\nOf the right answers, how many are sure:\n"
+    yield f"| method | {' | '.join(group.name for group in columns)} |"
+    yield f"|---|{'---:|' * len(columns)}"
+    yield from tables["right"]
+
+
+def _share(of: Array) -> str:
+    return f"{100 * of.mean():.1f} of {len(of)}" if len(of) else ""
 
 
 def _questions(edition: Recipe, split: str, columns: Sequence[Group], asked: dict[str, str]) -> Iterator[str]:

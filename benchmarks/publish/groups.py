@@ -37,8 +37,11 @@ QUESTIONS = {
     ("aliked-pnp", "sift-pnp"): "match learned or classical features",
     ("aliked-pnp", "orb-pnp"): "match learned or classical features",
     ("gn-net-one-start", "dso"): "learned features or grey levels, from the keyframe's pose",
+    ("gn-net-one-start", "sift-pnp"): "align once from the keyframe's pose, or match classical features",
+    ("gn-net-one-start", "orb-pnp"): "align once from the keyframe's pose, or match classical features",
     ("gn-net-from-prior", "gn-net-one-start"): "what more starts add, along the road and nearby",
     ("gn-net", "gn-net-from-prior"): "what starts from its own matches add",
+    ("gn-net", "gn-net-from-aliked-pnp"): "align from its own matches, or from another method's pose",
     ("gn-net-from-aliked-pnp", "aliked-pnp"): "what alignment adds to another method's pose",
     ("gn-net", "gn-net-contrastive"): "all losses, or the contrastive one alone",
 }
