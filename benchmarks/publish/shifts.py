@@ -37,7 +37,8 @@ _HEAD = """# {name}: shifts
 Printed by `python benchmarks/publish/shifts.py`, which says how a shift is judged. Right is an answer whose shift is
 within {within:g} pixels of the one that was set by hand; far pairs are those that shift by more, on which the
 keyframe's own pose is wrong. The median is over all pairs, and a pair without an answer is infinitely far off. Sure are
-answers with a confidence of 0.5 or more, of trackers that state one.
+answers with a confidence of 0.5 or more, of trackers that state one. gn-net, gn-net-from-prior and gn-net-contrastive
+also try starts up to 10 m ahead and behind along the road.
 """
 
 
