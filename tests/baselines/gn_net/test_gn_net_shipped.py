@@ -50,5 +50,6 @@ def test_a_card_names_the_licences_of_what_was_not_rendered(tracker: type[GnNet]
     if tracker().net.options.encoder == "plain":
         return
     told = (SHIPPED / f"{tracker.name}.md").read_text(encoding="utf-8")
-    for word in ("Apache-2.0", "MIT", "CC-BY-4.0", "tools/train_gn_net.sh"):
+    licences = "Apache-2.0", "MIT", "CC-BY-4.0", "CC0-1.0", "Emil Persson (`humus`, CC-BY-3.0)"
+    for word in (*licences, "tools/train_gn_net.sh"):
         assert word in told

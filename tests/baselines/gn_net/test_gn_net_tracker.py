@@ -17,6 +17,7 @@ from repository import ROOT
 from small_dataset import WITHIN, make_small_dataset, render, small_camera, small_pose
 
 from baselines.alignment.features.pyramid import FeaturePyramid
+from baselines.alignment.features.solver import FeatureAlignment, align_features
 from baselines.alignment.shared.pyramid import level_camera
 from baselines.alignment.shared.starts import Start, moved_along
 from baselines.gn_net.method import ALONG
@@ -228,6 +229,23 @@ def test_each_hypothesis_is_searched_for_with_other_samples(weights: Path, monke
     assert found.info["energy"] <= expected.info["energy"]
 
 
+def test_poses_of_matches_start_on_a_coarse_level_and_on_the_finest(
+    weights: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    matched = make_transform(np.eye(3), [0.0, 0.0, -0.15])
+    given: list[tuple[int | None, bool]] = []
+
+    def aligned(*asked: Any) -> FeatureAlignment:
+        given.extend((start.level, start.T_query_ref is matched) for start in asked[2])
+        return align_features(*asked)
+
+    monkeypatch.setattr("baselines.gn_net.method.align_features", aligned)
+    monkeypatch.setattr(MatchedLandmarks, "pose", lambda *_, **__: matched)
+    tracker = GnNet(weights=weights, hypotheses=1, along=(), first_levels=1)
+    tracker.track(tracker.prepare(a_reference()), a_query(small_pose(1)))
+    assert given == [(tracker.start.level, True), (0, True), (2, False)]
+
+
 def test_confidences_of_the_network_weigh_the_keyframes_points(tmp_path: Path) -> None:
     net, path = FeatureNet(replace(SMALL, confidence=True)).eval(), tmp_path / "confident.safetensors"
     with torch.no_grad():
@@ -327,17 +345,18 @@ def test_an_answer_that_nothing_speaks_for_is_a_stated_failure(kind: type[GnNet]
 
 
 def test_an_answer_that_another_pose_explains_far_better_is_a_stated_failure(weights: Path) -> None:
-    tracker, query = GnNetFromPrior(weights=weights), a_query(small_pose(1))
-    reference = tracker.prepare(a_reference())
-    matched = find_landmarks(reference.landmarks, tracker.features(query.image, query.camera), tracker.start)
+    tracker = GnNetFromPrior(weights=weights, prior_level=0, min_agreement=0.0)
+    reference, query = tracker.prepare(a_reference()), a_query(small_pose(1))
     right = np.linalg.inv(small_pose(1)) @ small_pose(0)
-    beside = make_transform(so3_exp([0.0, 0.05, 0.0]), np.zeros(3)) @ right
-    agreement = matched.agreement(right)
-    assert agreement > 3 * max(matched.agreement(beside), 0.01)
-    assert tracker._answer(right, matched, {"lead": 1.0, "precision": 5.0}, [beside, right]).answered
-    refused = replace(tracker, min_agreement=0.0)._answer(beside, matched, {"lead": 1.0, "precision": 5.0}, [right])
+    beside = make_transform(so3_exp([0.0, 0.2, 0.0]), np.zeros(3)) @ right
+    answered, unchecked = tracker.track(reference, query, right), replace(tracker, most_rival=None)
+    assert answered.info["agreement"] > 3 * unchecked.track(reference, query, beside).info["agreement"]
+    assert (answered.answered, unchecked.track(reference, query, beside).answered) == (True, True)
+    refused = tracker.track(reference, query, beside)
+    matched = find_landmarks(reference.landmarks, tracker.features(query.image, query.camera), tracker.start)
+    rival = max(map(matched.agreement, matched.poses(tracker.hypotheses, tracker.seed)))
     assert refused.message.endswith(
-        f" of {len(reference.landmarks)} landmarks agree with the pose, {agreement:.1%} with another one"
+        f" of {len(reference.landmarks)} landmarks agree with the pose, {rival:.1%} with another one"
     )
 
 
