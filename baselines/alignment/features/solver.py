@@ -106,6 +106,8 @@ class FeatureAlignment:
     """why there is no pose; empty if there is one"""
     starts: tuple[int, ...] = ()
     """how many starts were aligned on each level, finest first"""
+    reached: tuple[Array, ...] = ()
+    """(4, 4) each, the poses of all starts that were aligned on the finest level without failure"""
 
     @property
     def final(self) -> LevelOutcome:
@@ -201,6 +203,7 @@ def align_features(
         lead=_lead(fits, reference.levels[0]),
         failure=best.descent.failure,
         starts=tuple(aligned),
+        reached=tuple(each.T for each in estimates if each.descent.level < 0 and (each in right or each not in ended)),
     )
 
 

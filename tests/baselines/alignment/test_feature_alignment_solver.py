@@ -223,6 +223,11 @@ def test_only_the_best_of_several_starts_are_kept_after_a_level(
     found = align_features(reference, query, starts, replace(usual, kept=(5, 2, 2, 3)))
     assert found.starts[1:] == (3, 3, 5)
     assert error(found.T_query_ref)[0] < 0.002
+    finest = align_features(
+        reference, query, [Start(MOTION), Start(aside[0].T_query_ref, 0)], replace(usual, kept=(1,))
+    )
+    assert finest.starts[0] == len(finest.reached) == 2
+    assert error(finest.reached[0])[0] < 0.002 < error(finest.reached[1])[0]
 
 
 def test_a_start_of_which_next_to_nothing_is_in_view_has_failed(
