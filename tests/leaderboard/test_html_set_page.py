@@ -80,9 +80,10 @@ def _write_probe(folder: Path, fingerprint: str) -> None:
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The site of a sweep, whose values are given since no dataset is at hand."""
+    """The site of a sweep over pairs of two tiers, whose values are given since no dataset is at hand."""
     names = [f"s-wetness-0-0__s-wetness-{i}-0__front" for i in range(1, 5)]
-    results = MadeResults(tmp_path_factory.mktemp("swept") / "results", dict.fromkeys(names, 60))
+    overlaps = [0.3] * 50 + [0.02] * 10
+    results = MadeResults(tmp_path_factory.mktemp("swept") / "results", dict.fromkeys(names, 60), overlaps=overlaps)
     results.write_dataset()
     results.add("identity", {name: made(i, 60, 0.8) for i, name in enumerate(names)})
     results.add("good", {name: made(9 + i, 60, 0.08 * (1 + i)) for i, name in enumerate(names)})
@@ -144,6 +145,19 @@ def test_a_cell_of_the_matrix_lists_its_pairs_found_and_missed(page: Any, site: 
     cells.first.click()  # the total, here of one pair set
     page.wait_for_selector("#list-dialog[open]")
     assert page.locator("#list-title").inner_text() == f"wrong, across conditions: {found} of 15 found"
+
+
+@pytest.mark.thorough
+def test_a_cell_of_a_tier_lists_the_pairs_of_this_tier(page: Any, swept: Path) -> None:
+    _open(page, swept)
+    cells = page.locator(".matrix tbody tr", has_text="good").locator("td.share a")
+    for cell, count, pairs in ((cells.nth(-2), 200, range(1, 51)), (cells.last, 40, range(51, 61))):
+        cell.click()
+        page.wait_for_selector("#list-dialog[open]")
+        assert f" of {count} found" in page.locator("#list-title").inner_text()
+        listed = page.locator("#list tbody td:first-child").all_inner_texts()
+        assert {int(name.split()[-1]) for name in listed} <= set(pairs)
+        page.locator("#close").click()
 
 
 @pytest.mark.thorough

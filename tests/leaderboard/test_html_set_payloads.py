@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from answered_dataset import add_answers
 from command_line import relocbench
+from made_results import WINTER, MadeResults, made
 from refusals import refused
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 
@@ -24,6 +25,7 @@ from relocbench.evaluation.tables.matching import OFFSETS_PX, MatchingRow
 from relocbench.files import dump_yaml, write_table, write_text
 from relocbench.geometry import invert, make_transform, so3_exp
 from relocbench.leaderboard.html.looks import further_looks, looks
+from relocbench.leaderboard.html.payloads import errors_payload, set_payload
 from relocbench.leaderboard.html.set_page.maps import Maps, plan_of
 from relocbench.leaderboard.html.set_page.measured import matching_payload, months_apart
 from relocbench.leaderboard.html.set_page.sweeps import axis_of, sweep_of
@@ -170,6 +172,19 @@ def test_own_conditions_that_differ_in_one_factor_are_a_sweep_and_others_are_non
     assert sweep_of(*_swept(None, named)) is None
     assert sweep_of(_swept(None, factors)[0], None) is None
     assert sweep_of(*_swept("fog", dict(list(factors.items())[:2]))) is None  # two points are no curve
+
+
+@pytest.mark.parametrize("tiers", [["easy", "medium", "extreme"], []])
+def test_pairs_carry_their_tiers_where_these_are_known(tiers: list[str], tmp_path: Path) -> None:
+    results = MadeResults(tmp_path, {WINTER: 3}, overlaps=[0.9, 0.3, 0.02][: len(tiers)])
+    results.write_dataset()
+    results.add("identity", {WINTER: made(0, 3, 0.1)})
+    board = results.board()
+    payload = errors_payload(board.datasets[0], WINTER)
+    assert payload is not None
+    places = base64.b64decode(payload["units"].get("tier", {}).get(":u1", ""))
+    assert [payload["words"]["tier"][place] for place in places] == tiers
+    assert any(column["key"] == "tier" for column in set_payload(board, board.datasets[0])["list"]) == bool(tiers)
 
 
 def test_factors_have_words_and_units() -> None:

@@ -46,6 +46,8 @@ class MadeResults:
     rejected: int = 3
     splits: dict[str, tuple[str, ...]] = field(default_factory=dict)
     name: str = "town"
+    overlaps: Sequence[float] = ()
+    """of the pairs of every pair set; without, pairs have no tier"""
 
     @property
     def fingerprint(self) -> str:
@@ -139,6 +141,7 @@ class MadeResults:
             angle_deg=1.5,
             sigma_translation_m=self.sigma_m,
             sigma_rotation_deg=None if self.sigma_m is None else 0.05,
+            **({"overlap": self.overlaps[i], "overlap_query": 1.0, "scale_change": 1.0} if self.overlaps else {}),
         )
 
 

@@ -1,8 +1,11 @@
 """Editions: recipes, folders, and what everybody is asked."""
 
+import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from command_line import relocbench
 
 from relocbench.datasets.core import edition_folder
 from relocbench.datasets.core.dataset import Dataset
@@ -10,6 +13,7 @@ from relocbench.datasets.core.edition_folder import datasets_of, questions_of, r
 from relocbench.datasets.importers.edition import dataset as edition
 from relocbench.datasets.importers.edition.dataset import Options, Recipe, TierRecipe, build_edition, options_of, recipe
 from relocbench.datasets.importers.edition.districts import districts
+from relocbench.datasets.importers.rendered import dataset as rendered
 from relocbench.datasets.importers.rendered.dataset import Options as RenderedOptions
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
@@ -63,6 +67,24 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def made(out: Path, **options: object) -> edition_folder.EditionFolder:
     return build_edition(Options.model_validate({"edition": "small", **options}), out, Silent(), Run(1))
+
+
+def test_the_command_says_whether_everybody_is_asked_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of two tiers that ask what nobody else is asked, the recipe is made to expect one."""
+    told = SimpleNamespace(content_id="c", pair_set_names=())
+    monkeypatch.setattr(rendered, "build", lambda *given: told)
+    real = recipe("2026.1")
+    asked = questions_of({f"{number:02d}": "c" for number in range(1, real.districts + 1)})
+    known = real.model_copy(update={"questions": {"test": {**real.questions["test"], "hard": asked}}})
+    monkeypatch.setattr(edition, "recipe", lambda name: known)
+
+    def said(*words: object) -> list[str]:
+        out = tmp_path / "-".join(map(str, words))
+        printed = relocbench("build-dataset", "edition", "2026.1", "-q", "--split", *words, "--out", out).out
+        return re.findall("none published|as published|NOT AS PUBLISHED", printed)
+
+    assert said("test") == [*["NOT AS PUBLISHED"] * 2, "as published", "NOT AS PUBLISHED"]
+    assert said("test", "--districts", 3) == said("validation") == ["none published"] * 4
 
 
 @pytest.mark.thorough

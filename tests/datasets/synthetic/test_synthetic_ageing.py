@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from relocbench.datasets.synthetic.conditions.presets import conditions_of, prev
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.exact_correspondences import View
 from relocbench.datasets.synthetic.renderer.render import Frame
-from relocbench.datasets.synthetic.town.ageing import COURSES, Change
+from relocbench.datasets.synthetic.town.ageing import COURSES, Change, Course
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, merge
 from relocbench.datasets.synthetic.town.network import LANE_M
 from relocbench.datasets.synthetic.town.polylines import edge_frame
@@ -30,10 +31,33 @@ PLACE = scenes.DistrictSpec(0, "test", 250.0)
 CAMERA = Camera("pinhole", 96, 72, 60.0, 60.0, 47.5, 35.5)
 NEW, OLD = (Factors(months=m, foliage=0.0, parked_share=0.0) for m in (0.0, 24.0))
 
+CAR = "CAR_GLASS CAR_PAINT LAMP LIGHT_METAL NUMBER_PLATE PLASTIC RUBBER TAIL_LAMP"
+EFFECTS = {
+    Change.PARKED_ANEW: (CAR, CAR),
+    Change.REPAINTED: ("BRICK CONCRETE PLASTER STONE", "PAINTED_WALL"),
+    Change.OTHER_SHOP: ("AWNING SHOP_SIGN SHOP_WINDOW WOOD", "AWNING SHOP_SIGN SHOP_WINDOW WOOD"),
+    Change.OTHER_DOOR: ("DOOR", "DOOR"),
+    Change.SCAFFOLDED: ("", "METAL SHEET WOOD"),
+    Change.BINS_CAME: ("", "PLASTIC RUBBER"),
+    Change.BIN_MOVED: ("PLASTIC RUBBER", "PLASTIC RUBBER"),
+    Change.DUG_UP: (CAR, "RUBBER SIGNAL_RED SIGNAL_WHITE SOIL"),
+    Change.CONTAINER_CAME: (CAR, "CONTAINER METAL SOIL"),
+    Change.RELAID: ("", "FRESH_ASPHALT"),
+    Change.TRIMMED: ("BARK LEAF", ""),
+    Change.FELLED: ("BARK LEAF", ""),
+}
+"""materials of what each change by itself takes from a street and of what it brings"""
+
 
 @pytest.fixture(scope="module")
 def district() -> District:
     return scenes.district(PLACE)
+
+
+@pytest.fixture(scope="module")
+def new(district: District) -> set[bytes]:
+    """The pieces of the street as it was built, with its parked cars and few leaves."""
+    return pieces(compose(district, Factors(foliage=0.1)))
 
 
 @pytest.fixture(scope="module")
@@ -43,10 +67,15 @@ def came(district: District) -> Mesh:
 
 
 def pieces(mesh: Mesh) -> set[bytes]:
-    """The corners, colours and names of all triangles."""
+    """The corners, names and colours of all triangles."""
     corners = mesh.vertices[mesh.triangles].reshape(len(mesh), -1).view(np.uint8).reshape(len(mesh), -1)
-    looks = np.stack([mesh.material, mesh.variant, mesh.instance], axis=1).astype(np.uint32)
+    looks = np.stack([mesh.instance, mesh.variant, mesh.material], axis=1).astype(np.uint32)
     return {row.tobytes() for row in np.hstack([corners, looks.view(np.uint8)])}
+
+
+def materials(some: set[bytes]) -> str:
+    """The names of the materials of some pieces."""
+    return " ".join(sorted({Material(int.from_bytes(piece[-4:], sys.byteorder)).name for piece in some}))
 
 
 @pytest.mark.thorough
@@ -81,6 +110,17 @@ def test_shares_follow_their_law(district: District, change: Change) -> None:
         expected = course.limit * (1 - np.exp(-months / course.time))
         share = district.inventory.happened(change, 40_000, months).mean()
         assert share == pytest.approx(expected, abs=0.01)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("change", Change)
+def test_each_change_by_itself_changes_the_street(
+    district: District, new: set[bytes], change: Change, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for other in set(Change) - {change}:
+        monkeypatch.setitem(COURSES, other, Course(0.0, 1.0))
+    old = pieces(compose(district, Factors(months=24.0, foliage=0.1)))
+    assert (materials(new - old), materials(old - new)) == EFFECTS[change]
 
 
 @pytest.mark.thorough

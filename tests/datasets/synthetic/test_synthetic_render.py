@@ -22,6 +22,7 @@ from relocbench.datasets.synthetic.renderer.lamps import (
 )
 from relocbench.datasets.synthetic.renderer.render import Frame, Renderer
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, merge
+from relocbench.datasets.synthetic.town.network import LANE_M
 from relocbench.errors import ConfigError
 from relocbench.geometry import Camera
 
@@ -228,6 +229,25 @@ def test_snow_whitens_what_faces_up_and_nothing_else() -> None:
     np.testing.assert_array_equal(snow.rgb[walls], bare.rgb[walls])
     rgb = snow.rgb[up & inside].astype(float)
     assert np.ptp(rgb, axis=1).mean() < 20
+
+
+@pytest.mark.thorough
+def test_wheels_press_snow_into_darker_slush() -> None:
+    """The road is a street along y = 0, where wheels roll 0.74 m from the middle of each lane."""
+    mesh = street()
+    along = replace(mesh, uv=mesh.uv - np.where(mesh.semantic == Semantic.ROAD, 60, 0)[:, None, None] * [0, 1])
+    darker = []
+    for snow_cover in (0.0, 0.85):
+        factors = CLEAR.model_copy(update={"snow_cover": snow_cover, "cloud_cover": 1.0})
+        T = pose(x=-2.0, y=-LANE_M / 2, z=4.0, yaw=0.0, pitch=-0.9)
+        frame = Renderer(along, factors, np.zeros((0, 3)), 3).render(CAMERA, T, 1)
+        lateral = np.abs(np.arange(SIZE) - CAMERA.cx) / CAMERA.fx * frame.depth
+        road = frame.semantic == Semantic.ROAD
+        track, middle = road & (np.abs(lateral - 0.74) < 0.1), road & (lateral < 0.25)
+        assert min(track.sum(), middle.sum()) > 200
+        darker.append(grey(frame)[middle].mean() - grey(frame)[track].mean())
+    assert abs(darker[0]) < 10
+    assert darker[1] > 40
 
 
 def test_fog_hides_the_far_more_than_the_near() -> None:
