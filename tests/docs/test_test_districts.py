@@ -22,7 +22,7 @@ def test_the_page_has_the_phrase_of_the_edition() -> None:
 def test_a_district_has_three_conditions_that_exist_and_a_seed_of_its_own() -> None:
     found = list(districts(EDITION.phrases["test"], EDITION.districts))
     assert len({each.seed for each in found}) == EDITION.districts
-    assert sorted(DRAWN_FROM) == sorted(CONDITIONS)
+    assert set(DRAWN_FROM) <= set(CONDITIONS)
     assert all(len(set(each.conditions)) == 3 for each in found)
 
 

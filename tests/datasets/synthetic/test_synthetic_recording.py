@@ -268,6 +268,7 @@ def test_calibration_is_that_of_the_real_car(real_data: Callable[[str], Path]) -
 def test_tags_are_a_list_of_the_datasets_words(reading: RobotCarReading, robotcar: Recorded) -> None:
     assert yaml.safe_load((reading.root / "tags" / f"{robotcar.name}.yaml").read_text()) == ["sun"]
     assert tags(CONDITIONS["Snow"].factors) == ["overcast", "snow"]
+    assert tags(CONDITIONS["ClearSnow"].factors) == ["sun", "snow"]
     assert tags(CONDITIONS["Night"].factors) == ["night"]
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from refusals import refused
 
 from relocbench.arrays import Array, Indices, Mask
-from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.conditions.condition import CONDITIONS, Factors
 from relocbench.datasets.synthetic.renderer.lamps import (
     NIGHT_LUX,
     Beam,
@@ -118,6 +118,14 @@ def shot(T_world_cam: Array | None = None, seed: int = 1, camera: Camera = CAMER
 def grey(frame: Frame) -> Array:
     out: Array = frame.rgb.astype(float).mean(axis=2)
     return out
+
+
+def shown_points(frame: Frame, T_world_cam: Array) -> Array:
+    """World points (SIZE, SIZE, 3) that the pixels of ``CAMERA`` show."""
+    v, u = np.mgrid[:SIZE, :SIZE].astype(float)
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones_like(u)], -1)
+    points: Array = (rays * frame.depth[..., None]) @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
+    return points
 
 
 def by_hand(mesh: Mesh, camera: Camera, T_world_cam: Array) -> tuple[Array, Indices]:
@@ -250,6 +258,22 @@ def test_wheels_press_snow_into_darker_slush() -> None:
     assert darker[1] > 40
 
 
+@pytest.mark.thorough
+def test_a_clear_day_in_snow_has_shadows_and_no_flakes() -> None:
+    """At noon the block's shadow falls along y."""
+    T = pose(x=2.0, y=-2.0, z=12.0, pitch=-0.9, yaw=0.0)
+    flakes, lit = [], []
+    for name in ("ClearSnow", "Snow"):
+        factors = CONDITIONS[name].factors.model_copy(update=QUIET)
+        first, second = (renderer(factors).render(CAMERA, T, seed) for seed in (1, 2))
+        flakes.append(np.abs(grey(first) - grey(second)).mean())
+        x, y, _ = np.moveaxis(shown_points(first, T), -1, 0)
+        beside = (first.semantic == Semantic.ROAD) & (y > 0) & (y < 4)
+        lit.append(grey(first)[beside & (x > 9.5) & (x < 10.5)].mean() / grey(first)[beside & (x < 8)].mean())
+    assert flakes[0] == 0 < flakes[1]
+    assert lit[0] < 0.6 < 0.9 < lit[1]
+
+
 def test_fog_hides_the_far_more_than_the_near() -> None:
     clear, fog = shot(cloud_cover=1.0), shot(cloud_cover=1.0, fog_density=0.05)
     wall = clear.instance == WALL
@@ -261,9 +285,7 @@ def test_fog_hides_the_far_more_than_the_near() -> None:
 def test_the_sun_throws_a_shadow_where_the_geometry_says_and_an_overcast_sky_none() -> None:
     T = pose(x=2.0, y=-2.0, z=12.0, pitch=-0.9, yaw=0.0)
     sunny = shot(T)
-    v, u = np.mgrid[:SIZE, :SIZE].astype(float)
-    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones_like(u)], -1)
-    ground = (rays * sunny.depth[..., None]) @ T[:3, :3].T + T[:3, 3]
+    ground = shown_points(sunny, T)
     elevation, azimuth = np.radians(CLEAR.sun_elevation_deg), np.radians(CLEAR.sun_azimuth_deg)
     to_sun = np.array([np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth), np.sin(elevation)])
     low, high = np.array([9.0, -3, 0]), np.array([11.0, -1, 2])
@@ -349,9 +371,7 @@ def test_a_moving_car_darkens_the_road_under_it_and_leaves_the_rest_of_the_light
     T = pose(x=-3.0, y=-0.5)
     before, after = still.render(CAMERA, T, 1), with_car.render(CAMERA, T, 1)
     changed = np.abs(grey(after) - grey(before)) > 2
-    v, u = np.mgrid[:SIZE, :SIZE].astype(float)
-    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones_like(u)], -1)
-    ground = (rays * after.depth[..., None]) @ T[:3, :3].T + T[:3, 3]
+    ground = shown_points(after, T)
     beneath = (
         (after.semantic == Semantic.ROAD) & (ground[..., :2] > low[:2]).all(-1) & (ground[..., :2] < high[:2]).all(-1)
     )

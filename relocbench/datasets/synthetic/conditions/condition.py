@@ -139,8 +139,12 @@ CONDITIONS: dict[str, NamedCondition] = {
         lens_drops=0.15, parked_seed=7, people=6),
     "WetCloudySunset": _named("wet, cloudy", "summer", "sunset",
         sun_elevation_deg=7, sun_azimuth_deg=285, cloud_cover=0.6, wetness=0.9, puddles=0.5, parked_seed=8),
+    "ClearSnow": _named("clear, snow", "winter", "noon",
+        cloud_cover=0.1, sun_elevation_deg=16, sun_azimuth_deg=180, snow_cover=0.85, foliage=0.0, parked_seed=9,
+        people=5),
 }  # fmt: skip
-"""The last three are those of the GN-Net benchmark, modelled on CARLA 0.8.2's presets of these names."""
+"""WetNoon, SoftRainNoon and WetCloudySunset are those of the GN-Net benchmark, modelled on CARLA 0.8.2's presets of
+these names. Another condition comes last, since cameras of previews are drawn by the place of theirs."""
 
 
 def condition_named(name: str) -> NamedCondition:
