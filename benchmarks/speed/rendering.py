@@ -1,8 +1,10 @@
 """The speed of the procedural renderer on two cores, compared with bare ray casting and with Mitsuba 3.
 
 Two worker processes render 512x512 frames along a drive as a build does (`render_unit`: RGB and depth, encoded and
-written to disk, among as many people as the condition has), first in `Sunny`, then in `WetNoon`. Times exclude the
-first images, for which the district, the ray tree and compiled code are loaded. It is compared with:
+written to disk, among as many people as the condition has), first in `Sunny`, then in `WetNoon`, then in both with
+everything on: a street after twelve months, traffic, a camera with every effect at the middle of what is drawn, a lens
+that bends lines, and a rolling shutter. Times exclude the first images, for which the district, the ray tree and
+compiled code are loaded. It is compared with:
 
 - *bare rays*: in the same two processes, the time of Embree for one primary ray per pixel and one shadow ray for every
   surface that faces the sun, of the same frames, without edges, mirrors, colours and files.
@@ -37,6 +39,7 @@ import math
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from multiprocessing import get_context
 from multiprocessing.queues import Queue
 from multiprocessing.synchronize import Barrier
@@ -46,10 +49,15 @@ from typing import Any
 import numpy as np
 
 from relocbench.arrays import Array, Floats
+from relocbench.datasets.synthetic.camera.rolling_shutter import Readout
+from relocbench.datasets.synthetic.camera.shot import Shot
 from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.conditions.imaging import RANGES, Imaging
 from relocbench.datasets.synthetic.conditions.presets import previewed
+from relocbench.datasets.synthetic.drives.drive import RATE_HZ, Drive
 from relocbench.datasets.synthetic.drives.passers import passers
 from relocbench.datasets.synthetic.drives.rig import rig_named
+from relocbench.datasets.synthetic.drives.traffic import on_the_road
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.rendering import FrameWork, RenderUnit, StepWork, render_unit
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
@@ -66,6 +74,15 @@ PLACE = DistrictSpec(0, "test", 400.0)
 ROUTE_M = 100.0
 CAMERA = Camera("pinhole", SIZE, SIZE, 0.6 * SIZE, 0.6 * SIZE, (SIZE - 1) / 2, (SIZE - 1) / 2)
 CONDITIONS = ("Sunny", "WetNoon")
+EVERYTHING = {
+    "months": 12.0,
+    "traffic": 3.0,
+    "imaging": Imaging.model_validate({name: (each.low + each.high) / 2 for name, each in RANGES.items()}),
+}
+TWIST = np.array([0, 0, 8.0, 0, 0.2, 0])
+"""velocity of the camera, for what blurs and rolls: ahead at 8 m/s in a slight bend"""
+DISTORTION = -0.1
+READOUT_S = 0.03
 TRIAL_SPP = 16
 MITSUBA_FRAMES = 1
 GREY = 0.3
@@ -78,23 +95,34 @@ def poses(count: int) -> list[Array]:
     return [path.pose(at) @ T_rig_cam for at in np.linspace(5, ROUTE_M - 5, count)]
 
 
+def measured() -> dict[str, Factors]:
+    """The conditions, and the same with everything on."""
+    plain = previewed(CONDITIONS, everything=False, swept=None, steps=2)
+    return plain | {f"{name}, everything on": f.model_copy(update=EVERYTHING) for name, f in plain.items()}
+
+
 def unit_of(factors: Factors, shown: list[Array], folder: Path) -> RenderUnit:
     """The unit of work for these frames, as a build makes it."""
     steps = []
     town = scenes.district(PLACE)
     rigs = np.stack(shown) @ invert(rig_named("front").cameras(SIZE, SIZE)["front"][1])
     people = passers(town.footpaths, rigs, factors.people, np.random.default_rng(0))
+    route = town.network.drive(ROUTE_M, PLACE.seed)
+    driven = Drive(np.linspace(5, ROUTE_M - 5, len(shown)), rigs)
+    cars = on_the_road(route, driven, factors.traffic, route.other_lane_m, np.random.default_rng(0))
     for i, T_world_cam in enumerate(shown):
         missing = {"image": folder / f"image-{i}.png", "depth": folder / f"depth-{i}.png"}
-        steps.append(
-            StepWork(tuple(people[i]), (FrameWork(CAMERA, T_world_cam, scenes.frame_seed(0, 0, i, 0), missing),))
-        )
-    return RenderUnit(PLACE, factors, factors, tuple(steps))
+        frame = FrameWork(CAMERA, T_world_cam, scenes.frame_seed(0, 0, i, 0), missing)
+        if factors.imaging is not None:
+            shot, readout = Shot(factors.imaging, i / RATE_HZ, TWIST), Readout(READOUT_S, TWIST)
+            frame = replace(frame, shot=shot, distortion=DISTORTION, readout=readout)
+        steps.append(StepWork((*cars[i], *people[i]), (frame,)))
+    return RenderUnit(PLACE, factors.scene, factors.scene, tuple(steps))
 
 
 def bare_seconds(factors: Factors, shown: list[Array]) -> float:
     """Embree's processor time for primary and shadow rays of the frames, without the preparation of the rays."""
-    renderer = scenes.renderer(PLACE, factors)
+    renderer = scenes.renderer(PLACE, factors.scene)
     v, u = np.mgrid[:SIZE, :SIZE].astype(np.float32)
     asked = np.ones(SIZE * SIZE, dtype=np.bool_)
     spent = 0.0
@@ -124,7 +152,7 @@ def work(number: int, frames: int, folder: Path, together: Barrier, answers: Que
     pin_threads()
     shown = poses(WORKERS * frames)[number::WORKERS]
     told: dict[str, Any] = {}
-    for name, factors in previewed(CONDITIONS, everything=False, swept=None, steps=2).items():
+    for name, factors in measured().items():
         target = folder / f"{name}-{number}"
         target.mkdir()
         start = time.perf_counter()
@@ -256,7 +284,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="relocbench-bench-") as scratch:
         told = measure(frames, Path(scratch))
     ours = {}
-    for name in CONDITIONS:
+    for name in measured():
         rate = sum(frames / t[name]["seconds"] for t in told)
         ours[name] = float(np.mean([t[name]["cpu_s"] for t in told])) / frames
         bare = float(np.mean([t[name]["bare_cpu_s"] for t in told])) / frames
