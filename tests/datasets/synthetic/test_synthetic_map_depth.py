@@ -19,7 +19,7 @@ from relocbench.arrays import Array, Floats, Image
 from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.rendered import dataset as synthetic
-from relocbench.datasets.synthetic.conditions.condition import Factors, condition_named
+from relocbench.datasets.synthetic.conditions.condition import CONDITIONS, Factors, condition_named
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.lidar.lidar import LidarScene
 from relocbench.datasets.synthetic.map_depth.matched import (
@@ -295,7 +295,7 @@ def test_a_preview_shows_what_maps_know(tmp_path: Path) -> None:
     assert 0.05 < stereo < exact
     told = relocbench("preview", "--all", "--map-depths", "--out", sheet)
     assert told.status == 2
-    assert_names(told.complaint, "", None, "--map-depths", 10)
+    assert_names(told.complaint, "", None, "--map-depths", len(CONDITIONS))
 
 
 def test_points_that_were_not_written_to_their_end_are_noticed(tmp_path: Path) -> None:
