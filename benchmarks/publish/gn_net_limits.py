@@ -35,15 +35,11 @@ from baselines.gn_net.tracker import GnNet
 from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.edition_folder import datasets_of
+from relocbench.errors import RelocbenchError
 from relocbench.methods import parse_method
 from relocbench.metrics import pose_errors
 from relocbench.tracking import Query
 
-SEARCH = (
-    "pairs", "right", "wrong", "of these declined", "truth fits better", "truth fits worse", "truth is left", "nearest",
-    "nearest, with the truth",
-)  # fmt: skip
-PRIOR = "pairs", "right", "wrong", "declined", "sure and right", "sure and wrong"
 IMAGES, SURE = 20, 0.5
 """whose feature maps are kept; the confidence of sure answers"""
 
@@ -68,6 +64,18 @@ def main() -> None:
     options = parser.parse_args()
     cv2.setNumThreads(1)
     torch.set_num_threads(1)
+    try:
+        search, prior = measured(options)
+    except RelocbenchError as bad:
+        parser.exit(2, f"{bad}\n")
+    told = {"gn-net": table("gn-net", search)}
+    near_by = f"priors at most {options.metres:g} m and {options.degrees:g} degrees beside the truth"
+    told["gn-net-from-prior"] = table(f"gn-net-from-prior, {near_by}", prior)
+    print(json.dumps({"benchmark": "gn_net_limits", **told}))
+
+
+def measured(options: argparse.Namespace) -> tuple[dict[str, Counter[str]], dict[str, Counter[str]]]:
+    """What the pairs of each dataset count for, of ``gn-net`` and of ``gn-net-from-prior``."""
     watched = Watched(**{**parse_method("gn-net", options.set).parameters, "cache_size": IMAGES})
     from_prior = parse_method("gn-net-from-prior", options.set).create()
     from_prior._cache = watched._cache
@@ -79,10 +87,7 @@ def main() -> None:
             near = beside(truth, rng.uniform(0, options.metres), rng.uniform(0, options.degrees), rng)
             search[dataset.name].update(limits(watched, reference, query, truth))
             prior[dataset.name].update(from_near(from_prior, reference, query, truth, near))
-    told = {"gn-net": table("gn-net", search, SEARCH)}
-    near_by = f"priors at most {options.metres:g} m and {options.degrees:g} degrees beside the truth"
-    told["gn-net-from-prior"] = table(f"gn-net-from-prior, {near_by}", prior, PRIOR)
-    print(json.dumps({"benchmark": "gn_net_limits", **told}))
+    return search, prior
 
 
 def questions(tracker: GnNet, dataset: Dataset) -> Iterator[tuple[GnNetReference, Query, Array]]:
@@ -95,7 +100,7 @@ def questions(tracker: GnNet, dataset: Dataset) -> Iterator[tuple[GnNetReference
 
 
 def limits(tracker: Watched, reference: GnNetReference, query: Query, truth: Array) -> dict[str, int]:
-    """What is counted of a pair in the columns of :data:`SEARCH`."""
+    """What a pair counts for, by column."""
     tracker.found = None
     answered, found = tracker.track(reference, query).answered, tracker.found
     there = align_features(
@@ -106,17 +111,34 @@ def limits(tracker: Watched, reference: GnNetReference, query: Query, truth: Arr
     fits = found is None or there.misfit < found.misfit
     nearest = found is not None and any(is_right(pose, truth) for pose in found.reached)
     wrong = not right
-    columns = True, right, wrong, wrong and not answered, wrong and stays and fits, wrong and stays and not fits
-    return dict(zip(SEARCH, map(int, (*columns, wrong and not stays, nearest, nearest or stays)), strict=True))
+    counted = {
+        "pairs": True,
+        "right": right,
+        "wrong": wrong,
+        "of these declined": wrong and not answered,
+        "truth fits better": wrong and stays and fits,
+        "truth fits worse": wrong and stays and not fits,
+        "truth is left": wrong and not stays,
+        "nearest": nearest,
+        "nearest, with the truth": nearest or stays,
+    }
+    return {column: int(counts) for column, counts in counted.items()}
 
 
 def from_near(tracker: GnNet, reference: GnNetReference, query: Query, truth: Array, near: Array) -> dict[str, int]:
-    """What is counted of a pair in the columns of :data:`PRIOR`."""
+    """What a pair counts for, by column."""
     answer = tracker.track(reference, query, near)
     right = answer.T_query_ref is not None and is_right(answer.T_query_ref, truth)
     sure, wrong = (answer.confidence or 0.0) >= SURE, answer.answered and not right
-    columns = True, right, wrong, not answer.answered, right and sure, wrong and sure
-    return dict(zip(PRIOR, map(int, columns), strict=True))
+    counted = {
+        "pairs": True,
+        "right": right,
+        "wrong": wrong,
+        "declined": not answer.answered,
+        "sure and right": right and sure,
+        "sure and wrong": wrong and sure,
+    }
+    return {column: int(counts) for column, counts in counted.items()}
 
 
 def is_right(pose: Array, truth: Array) -> bool:
@@ -124,15 +146,16 @@ def is_right(pose: Array, truth: Array) -> bool:
     return bool(errors.translation_error_m[0] <= POSITION_M and errors.rotation_error_deg[0] <= ANGLE_DEG)
 
 
-def table(title: str, rows: Mapping[str, Counter[str]], columns: tuple[str, ...]) -> dict[str, int]:
+def table(title: str, rows: Mapping[str, Counter[str]]) -> dict[str, int]:
     """Print the counts of each dataset and of all of them, also in percent of the pairs; those of all."""
-    total = sum(rows.values(), Counter[str]())
+    columns = next(iter(rows.values()), {})
+    total = {column: sum(row[column] for row in rows.values()) for column in columns}
     print(f"\n## {title}\n\n| dataset | {' | '.join(columns)} |\n|---{'|---' * len(columns)}|")
     for name, row in [*rows.items(), ("all", total)]:
         print(f"| {name} | {' | '.join(str(row[column]) for column in columns)} |")
-    shares = (100 * total[column] / max(total["pairs"], 1) for column in columns)
+    shares = (100 * total[column] / total["pairs"] for column in columns)
     print(f"| all, % | {' | '.join(f'{share:.1f}' for share in shares)} |")
-    return {column: total[column] for column in columns}
+    return total
 
 
 if __name__ == "__main__":

@@ -203,7 +203,11 @@ def align_features(
         lead=_lead(fits, reference.levels[0]),
         failure=best.descent.failure,
         starts=tuple(aligned),
-        reached=tuple(each.T for each in estimates if each.descent.level < 0 and (each in right or each not in ended)),
+        reached=tuple(
+            each.T
+            for each in estimates
+            if each.descent.level < 0 and (each.descent.abandoned or not each.descent.failure)
+        ),
     )
 
 
